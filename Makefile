@@ -1,0 +1,85 @@
+# Everything runs in .venv, which is made here from any Python >= 3.11: nothing to install beforehand but make and
+# pip. A stamp file in .venv records each finished installation, so that the second call starts at once.
+
+PYTHON ?= python3
+EXTRA ?=
+PYTEST_ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+REQUIREMENTS := pyproject.toml constraints.txt
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
+
+.PHONY: help demo test lint clean
+.NOTPARALLEL:
+
+help:
+	@echo 'make demo    install the core, then run examples/demo.py: a table on the screen, pictures in runs/demo/'
+	@echo 'make test    install the core and the test tools, then run ruff, pyright and the tests'
+	@echo 'make lint    the same installation, ruff and pyright only'
+	@echo 'make clean   remove .venv and all caches; runs/ stays'
+	@echo
+	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
+	@echo 'EXTRA=ppo                for make test: install this extra of pyproject.toml too'
+	@echo 'PYTEST_ARGS="-k arrays"  for make test: further arguments of pytest'
+
+demo: $(VENV)/.stamp-core
+	@echo '== demo: examples/demo.py'
+	@$(BIN)/python examples/demo.py
+
+test: $(if $(EXTRA),$(VENV)/.stamp-extra-$(EXTRA)) lint
+	@echo '== tests: pytest, two at a time'
+	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+lint: $(VENV)/.stamp-dev
+	@echo '== style: ruff check'
+	@$(BIN)/ruff check
+	@echo '== format: ruff format --check'
+	@$(BIN)/ruff format --check
+	@echo '== types: pyright'
+	@$(BIN)/pyright
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist
+	find . -name .git -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A .venv that works is kept. Where the system's Python comes without ensurepip (Debian without python3-venv),
+# its own pip fills the environment instead.
+$(VENV)/.stamp-venv:
+	@command -v $(PYTHON) > /dev/null || { echo 'foveate needs Python 3.11 or newer, and there is no $(PYTHON);' \
+		'name another: make PYTHON=python3.12'; exit 1; }
+	@$(PYTHON) $(IS_NEW_ENOUGH) || { echo "foveate needs Python 3.11 or newer, and $(PYTHON) is" \
+		"$$($(PYTHON) --version 2>&1); name another: make PYTHON=python3.12"; exit 1; }
+	@if $(BIN)/python $(IS_NEW_ENOUGH) 2> /dev/null && $(BIN)/python -m pip --version > /dev/null 2>&1; then \
+		echo '== environment: $(VENV) is there'; \
+	else \
+		echo "== environment: making $(VENV) with $$($(PYTHON) --version)"; \
+		$(PYTHON) -m venv --clear $(VENV) > /dev/null 2>&1 || { \
+			$(PYTHON) -m venv --clear --without-pip $(VENV) && \
+			$(PYTHON) -m pip --python $(BIN)/python install --quiet pip; }; \
+	fi
+	@touch $@
+
+$(VENV)/.stamp-core: $(REQUIREMENTS) | $(VENV)/.stamp-venv
+	@echo '== install: foveate (about 600 MB, some minutes the first time)'
+	@$(INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.stamp-dev: $(REQUIREMENTS) | $(VENV)/.stamp-venv
+	@echo '== install: foveate and its test tools (about 900 MB, some minutes the first time)'
+	@$(INSTALL) --editable '.[dev]'
+	@touch $@ $(VENV)/.stamp-core
+
+# Torch on its own first: pip then settles its large wheels before it looks at what stands on them.
+$(VENV)/.stamp-torch: $(REQUIREMENTS) | $(VENV)/.stamp-venv
+	@echo "== install: $$(grep '^torch==' constraints.txt) (large)"
+	@$(INSTALL) "$$(grep '^torch==' constraints.txt)"
+	@touch $@
+
+$(VENV)/.stamp-extra-ppo: $(VENV)/.stamp-torch
+
+$(VENV)/.stamp-extra-%: $(REQUIREMENTS) | $(VENV)/.stamp-dev
+	@echo '== install: the extra $*'
+	@$(INSTALL) --editable '.[$*]'
+	@touch $@

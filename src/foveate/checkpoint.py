@@ -1,0 +1,94 @@
+"""Weights in files: any pytree of arrays, saved whole, checked on the way back, no code in it."""
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from foveate import __version__
+from foveate.arrays import load_arrays, save_arrays
+from foveate.configuration import digest, dumps_toml, load_toml
+from foveate.files import write_atomic
+from foveate.problem import Policy
+from foveate.settings import Experiment
+
+VERSION = 1
+CONFIG = "config.toml"
+BEST = Path("checkpoint") / "best.npz"
+LAST = Path("checkpoint") / "last.npz"
+T = TypeVar("T")
+
+
+def save_tree(path: Path, tree: Any, experiment: Experiment, kind: str, facts: dict[str, Any]) -> None:
+    """Write the arrays of a pytree with the digest of its experiment; `facts` is any JSON about it (epoch, score)."""
+    header = {
+        "format": f"foveate-{kind}",
+        "version": VERSION,
+        "foveate": __version__,
+        "experiment": digest(experiment),
+        "facts": facts,
+    }
+    save_arrays(path, _named(tree), header)
+
+
+def load_tree(path: Path, like: T, kind: str) -> tuple[T, dict[str, Any]]:
+    """The pytree that was saved, in the structure and the dtypes of `like`, and the facts beside it.
+
+    Raises ValueError in one line for a file that is missing, cut, damaged, newer, or holds other shapes.
+    """
+    header, arrays = load_arrays(path, kind, VERSION)
+    wanted = _named(like)
+    if missing := sorted(set(wanted) - set(arrays)):
+        raise ValueError(f"{path}: no array {missing[0]!r}: this checkpoint is of another network")
+    if extra := sorted(set(arrays) - set(wanted)):
+        raise ValueError(
+            f"{path}: array {extra[0]!r} has no place here: this checkpoint is of another network"
+        )
+    for name, array in wanted.items():
+        if arrays[name].shape != array.shape:
+            raise ValueError(
+                f"{path}: {name} has shape {arrays[name].shape}: expected {array.shape}, as config.toml says"
+            )
+    dynamic, static = eqx.partition(like, eqx.is_array)
+    leaves = [
+        _restored(arrays[name], old) for name, old in zip(wanted, jax.tree.leaves(dynamic), strict=True)
+    ]
+    return eqx.combine(jax.tree.unflatten(jax.tree.structure(dynamic), leaves), static), header["facts"]
+
+
+def _named(tree: Any) -> dict[str, np.ndarray]:
+    """The arrays of a pytree by their path in it."""
+    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(tree, eqx.is_array))
+    return {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
+
+
+def _restored(array: np.ndarray, like: jax.Array) -> jax.Array:
+    return jnp.asarray(array, like.dtype)
+
+
+def fresh_policy(experiment: Experiment) -> Policy:
+    """A policy of the experiment's architecture, to be filled with saved weights."""
+    return experiment.policy.policy(experiment.scenario.problem(), jax.random.key(0))
+
+
+def load_run(run: Path) -> tuple[Experiment, Policy, dict[str, Any]]:
+    """Experiment and best policy of a run folder, and the facts saved with it.
+
+    Raises ValueError in one line where the folder is not a run or a file of it is not what it should be.
+    """
+    if not run.is_dir():
+        raise ValueError(
+            f"{run}: no such run folder: expected what `foveate train --out` wrote, or the name of a preset"
+        )
+    experiment = load_toml(Experiment, run / CONFIG)
+    policy, facts = load_tree(run / BEST, fresh_policy(experiment), "policy")
+    return experiment, policy, facts
+
+
+def write_config(run: Path, experiment: Experiment) -> None:
+    """Write `config.toml` of a run folder."""
+    text = dumps_toml(experiment, "foveate: everything that defines this run.")
+    write_atomic(run / CONFIG, text.encode())

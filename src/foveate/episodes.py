@@ -1,0 +1,239 @@
+"""From a scene to an episode: scenes drawn from a distribution, the chance in them, the truth, the first belief."""
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from foveate.problem import Episode, Problem, Truth
+from foveate.scenario import SceneSettings
+from foveate.scenes import Scene
+from foveate.types import Count, Key, Pose
+
+TABLE1_SEED = 2023
+"""Seed of the built-in suite `table1`: the year of the paper."""
+TABLE1_TARGETS = (3, 5, 7)
+TABLE1_SCENES_PER_CELL = 30
+
+
+class Drawn(eqx.Module):
+    """A scene as arrays, padded to a fixed number of targets."""
+
+    pose: Pose
+    position: Float[Array, "n d"]
+    drift: Float[Array, "n d"]
+    present: Bool[Array, " n"]
+    horizon: Count
+
+
+class Noise(eqx.Module):
+    """All chance of one episode: uniform jitter in [-1, 1], and standard normals for the rest."""
+
+    jitter: Float[Array, "K n d"]
+    process: Float[Array, "K n n_y"]
+    measurement: Float[Array, "K n n_z"]
+    first: Float[Array, "n n_y"]
+
+
+def draw(settings: SceneSettings, problem: Problem, key: Key, test: bool = False) -> Drawn:
+    """One scene of the distribution, padded to its largest number of targets.
+
+    Numbers are drawn in float32 whatever the working precision, so that a seed means the same scene everywhere.
+    """
+    d, most = problem.agent.space.dimension, settings.targets_max
+    shapes = ((), (), (d,), (most, d), (1 if settings.shared_drift else most, d))
+    uniform = jax.random.uniform(key, (_size(shapes),), jnp.float32, -1.0, 1.0).astype(float)
+    count, yaw, agent, position, drift = _cut(uniform, shapes)
+
+    numbers = most + 1 - settings.targets_min
+    n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * numbers), numbers - 1).astype(int)
+    centre = jnp.array(settings.centre_m)
+    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * n
+    agent_side = settings.agent_test_half_side_m if test else settings.agent_spread * half_side
+    steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
+    return Drawn(
+        pose=problem.agent.space.upright(centre + agent_side * agent, jnp.pi * yaw),
+        position=centre + half_side * position,
+        drift=jnp.broadcast_to(settings.drift_m_s * drift, (most, d)),
+        present=jnp.arange(most) < n,
+        horizon=steps,
+    )
+
+
+def draw_noise(problem: Problem, key: Key, steps: int, targets: int) -> Noise:
+    """The chance of one training episode."""
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    uniform_key, normal_key = jax.random.split(key)
+    shapes = ((targets, n_y), (steps, targets, n_y), (steps, targets, n_z))
+    first, process, measurement = _cut(jax.random.normal(normal_key, (_size(shapes),)), shapes)
+    jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
+    return Noise(jitter=jitter, process=process, measurement=measurement, first=first)
+
+
+def _size(shapes: Sequence[tuple[int, ...]]) -> int:
+    return sum(math.prod(shape) for shape in shapes)
+
+
+def _cut(flat: Float[Array, " size"], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """One draw cut into arrays: each call of the random generator costs a second of compilation."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = jnp.split(flat, ends[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def episode_of(
+    problem: Problem, settings: SceneSettings, scene: Drawn, noise: Noise, with_truth: bool = True
+) -> Episode:
+    """A scene and its chance as an episode.
+
+    Targets that are positions only are driven by the known input xi = tau (drift + jitter) [m]; for longer states the
+    drift is the initial velocity and the input is zero.
+    """
+    motion, d = problem.motion, problem.agent.space.dimension
+    first = jax.vmap(motion.state_at)(scene.position)
+    inputs = jnp.zeros((*noise.jitter.shape[:2], motion.input_size))
+    if motion.state_size == d == motion.input_size:
+        inputs = problem.tau * (scene.drift + settings.jitter_m_s * noise.jitter)
+    elif motion.state_size >= 2 * d:
+        first = first.at[:, d : 2 * d].add(scene.drift)
+
+    known = inputs if settings.known_drift else jnp.zeros_like(inputs)
+    truth = None
+    if with_truth:
+        pushes = noise.process @ _root(motion.W).T
+        states = jax.lax.scan(
+            lambda y, step: (motion.advance(y, step[0]) + step[1],) * 2, first, (inputs, pushes)
+        )[1]
+        truth = Truth(state=jnp.concatenate([first[None], states]), measurement_noise=noise.measurement)
+    return Episode(
+        pose=scene.pose,
+        mean=first + first_error(problem, settings, noise.first),
+        present=scene.present,
+        inputs=known,
+        horizon=scene.horizon,
+        truth=truth,
+    )
+
+
+def first_error(
+    problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]
+) -> Float[Array, "*b n_y"]:
+    """By how much the first mean is off: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
+    if settings.initial_error == "consistent":
+        return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
+    V, H = problem.sensor.V, problem.sensor.H
+    # z = H y: the least-norm state whose measurement is off by N(0, V).
+    return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
+
+
+def _root(covariance: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """A matrix R with R R^T = covariance, which may be singular."""
+    values, vectors = jnp.linalg.eigh(covariance)
+    return vectors * jnp.sqrt(jnp.maximum(values, 0.0))
+
+
+def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:
+    """The chance of one episode of a scene, from (seed, scene id, episode) alone: the same for every method.
+
+    Drawn by numpy at the scene's true size, so that neither padding nor precision changes a number.
+    """
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    steps, n = scene.horizon, len(scene.targets)
+    rng = np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode])
+    return {
+        "jitter": rng.uniform(-1.0, 1.0, (steps, n, d)),
+        "process": rng.standard_normal((steps, n, n_y)),
+        "measurement": rng.standard_normal((steps, n, n_z)),
+        "first": rng.standard_normal((n, n_y)),
+    }
+
+
+def scene_episodes(
+    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int, episodes: int
+) -> Episode:
+    """Episodes 0 .. `episodes`-1 of every scene, padded to a common size and stacked, scene by scene.
+
+    Shapes: a leading axis of len(scenes) * episodes; n and K are the largest of any scene (n at least 1).
+    """
+    n = max(1, *(len(scene.targets) for scene in scenes))
+    steps = max(scene.horizon for scene in scenes)
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    count = len(scenes) * episodes
+    drawn: dict[str, Any] = {
+        "pose": [],
+        "position": np.zeros((count, n, d)),
+        "drift": np.zeros((count, n, d)),
+        "present": np.zeros((count, n), bool),
+        "horizon": np.zeros(count, int),
+    }
+    noise = {
+        "jitter": np.zeros((count, steps, n, d)),
+        "process": np.zeros((count, steps, n, n_y)),
+        "measurement": np.zeros((count, steps, n, n_z)),
+        "first": np.zeros((count, n, n_y)),
+    }
+    for row in range(count):
+        scene, k = scenes[row // episodes], row % episodes
+        here = len(scene.targets)
+        drawn["pose"].append(problem.agent.space.from_numbers(scene.agent))
+        drawn["position"][row, :here] = np.reshape(scene.targets, (here, d))
+        drawn["drift"][row, :here] = np.reshape(scene.drift, (here, d))
+        drawn["present"][row, :here] = True
+        drawn["horizon"][row] = scene.horizon
+        for name, value in scene_noise(problem, scene, seed, k).items():
+            part = (row, slice(here)) if name == "first" else (row, slice(scene.horizon), slice(here))
+            noise[name][part] = value
+    as_float = {name: jnp.asarray(value, float) for name, value in noise.items()}
+    stacked = Drawn(
+        pose=jnp.stack(drawn["pose"]),
+        position=jnp.asarray(drawn["position"], float),
+        drift=jnp.asarray(drawn["drift"], float),
+        present=jnp.asarray(drawn["present"]),
+        horizon=jnp.asarray(drawn["horizon"]),
+    )
+    return jax.jit(jax.vmap(lambda s, e: episode_of(problem, settings, s, e)))(stacked, Noise(**as_float))
+
+
+def suite(
+    settings: SceneSettings, problem: Problem, seed: int, targets: int, count: int, biased: bool
+) -> list[Scene]:
+    """`count` test scenes with that many targets from the distribution of `settings`, with its drift or without."""
+    cell = replace(settings, targets_min=targets, targets_max=targets)
+    if not biased:
+        cell = replace(cell, drift_m_s=0.0)
+    key = jax.random.fold_in(jax.random.key(seed), 2 * targets + biased)
+    drawn = jax.vmap(lambda k: draw(cell, problem, k, test=True))(jax.random.split(key, count))
+    word = "biased" if biased else "unbiased"
+    return [
+        Scene(
+            id=f"{word}-{targets}-{i:02d}",
+            agent=_numbers(problem.agent.space.to_numbers(drawn.pose[i])),
+            targets=tuple(_numbers(row) for row in np.asarray(drawn.position[i])),
+            drift=tuple(_numbers(row) for row in np.asarray(drawn.drift[i])),
+            horizon=cell.horizon(targets),
+        )
+        for i in range(count)
+    ]
+
+
+def table1(problem: Problem) -> list[Scene]:
+    """The built-in suite: the paper's test distribution, 30 scenes in each of its six cells, always the same 180."""
+    settings = SceneSettings()
+    cells = [(targets, biased) for biased in (False, True) for targets in TABLE1_TARGETS]
+    return [
+        scene
+        for targets, biased in cells
+        for scene in suite(settings, problem, TABLE1_SEED, targets, TABLE1_SCENES_PER_CELL, biased)
+    ]
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    """Rounded to a micrometre: a scene means the same numbers in every precision and in a file."""
+    return tuple(round(float(value), 6) + 0.0 for value in values)

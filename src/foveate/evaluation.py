@@ -1,0 +1,243 @@
+"""How well a policy did, honestly: every method on the same scenes, the same noise, under both protocols."""
+
+import math
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Int
+
+from foveate.episodes import scene_episodes
+from foveate.models.belief import entropy
+from foveate.problem import Episode, Policy, Problem, Trace
+from foveate.rollout import PROTOCOLS, Protocol, observe, predict, rollout, start
+from foveate.scenario import SceneSettings
+from foveate.scenes import Scene
+
+CHUNK = 256
+"""Episodes that run side by side: bounds memory, and every suite runs the same compiled program."""
+Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One episode of one method under one protocol.
+
+    `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both null
+    without targets. `seen_fraction`: targets really measured at least once; `seen_step_fraction`: measured targets
+    among all targets of all steps; `longest_unseen_s`: the longest time any target went without a measurement.
+    `rmse_m` and `nees` (honest: the state's length) at the horizon, over the targets. `step_time_s`: one compiled
+    decision, alone, on this machine.
+    """
+
+    scene: str
+    episode: int
+    seed: int
+    method: str
+    protocol: str
+    motion: str
+    targets: int
+    score: float | None
+    seen_fraction: float
+    seen_step_fraction: float
+    longest_unseen_s: float
+    entropy: float | None
+    rmse_m: float
+    nees: float
+    step_time_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """One cell: a method, a protocol, a motion, a number of targets.
+
+    `std` is over episodes; `ci95` the normal 95 % interval of the mean, scenes taken as independent; `nees_band`
+    is where 95 % of such means lie if the filter's covariance is right.
+    """
+
+    method: str
+    protocol: str
+    motion: str
+    targets: int
+    mean: float
+    std: float
+    ci95: tuple[float, float]
+    seen_fraction: float
+    seen_step_fraction: float
+    rmse_m: float
+    nees: float
+    nees_band: tuple[float, float]
+    episodes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Scenes and the chance in them, ready to run: what every method gets alike."""
+
+    problem: Problem
+    scenes: tuple[Scene, ...]
+    episodes_per_scene: int
+    seed: int
+    episodes: Episode
+
+
+def prepare(
+    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int = 0, episodes: int = 1
+) -> Suite:
+    """Draw the chance of `episodes` runs of every scene from (seed, scene id, episode)."""
+    drawn = scene_episodes(problem, settings, scenes, seed, episodes)
+    return Suite(
+        problem=problem, scenes=tuple(scenes), episodes_per_scene=episodes, seed=seed, episodes=drawn
+    )
+
+
+@eqx.filter_jit
+def _run(problem: Problem, policy: Policy, episodes: Episode, protocol: Protocol, keys) -> Trace:
+    return jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
+
+
+def simulate(suite: Suite, policy: Policy, protocol: Protocol) -> Trace:
+    """Every episode of the suite; a leading axis of episodes, as numpy arrays."""
+    count = len(suite.scenes) * suite.episodes_per_scene
+    keys = jax.random.split(jax.random.key(suite.seed), count)
+    parts = []
+    for first in range(0, count, CHUNK):
+        rows = np.minimum(np.arange(first, first + CHUNK), count - 1)
+        trace = _run(
+            suite.problem, policy, jax.tree.map(lambda x, r=rows: x[r], suite.episodes), protocol, keys[rows]
+        )
+        parts.append(jax.tree.map(lambda x, n=count - first: np.asarray(x)[:n], trace))
+    return jax.tree.map(lambda *pieces: np.concatenate(pieces), *parts)
+
+
+def decision_time(problem: Problem, policy: Policy, episode: Episode, repeats: int = 30) -> float:
+    """Median time of one compiled decision for one agent [s], called alone and waited for."""
+    steps = jax.tree.map(lambda x: x[0], episode.inputs)
+    predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), steps)
+    observation, key = observe(predicted, steps), jax.random.key(0)
+    memory = policy.start(observation)
+    arrays, static = eqx.partition(policy, eqx.is_array)
+
+    @jax.jit
+    def decide(arrays, observation, memory, key):
+        return eqx.combine(arrays, static)(observation, memory, key)
+
+    jax.block_until_ready(decide(arrays, observation, memory, key))
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(decide(arrays, observation, memory, key))
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
+
+
+def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]) -> list[Row]:
+    """Run a policy on a suite under each protocol: one row an episode."""
+    step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
+    truth = np.asarray(suite.episodes.truth.state)
+    rows = []
+    for protocol in protocols:
+        trace = simulate(suite, policy, PROTOCOLS[protocol])
+        for i in range(len(truth)):
+            scene = suite.scenes[i // suite.episodes_per_scene]
+            measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
+            rows.append(
+                Row(
+                    scene=scene.id,
+                    episode=i % suite.episodes_per_scene,
+                    seed=suite.seed,
+                    method=method,
+                    protocol=protocol,
+                    motion=scene.motion,
+                    targets=len(scene.targets),
+                    step_time_s=step_time,
+                    **measures,
+                )
+            )
+    return rows
+
+
+def _measures(problem: Problem, trace: Trace, truth: np.ndarray, scene: Scene) -> dict[str, float | None]:
+    n, K, n_y = len(scene.targets), scene.horizon, problem.motion.state_size
+    if n == 0:
+        nothing = dict.fromkeys(
+            ("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0
+        )
+        return {"score": None, "entropy": None, **nothing}
+    visible, log_det = trace.visible[:K, :n], trace.log_det[K - 1, :n].astype(float)
+    error = (trace.mean[K, :n] - truth[K, :n]).astype(float)
+    position_error = error @ np.asarray(problem.motion.Z, float).T
+    return {
+        "score": float(log_det.mean()),
+        "entropy": float(entropy(log_det, n_y).mean()),
+        "seen_fraction": float(visible.any(axis=0).mean()),
+        "seen_step_fraction": float(visible.mean()),
+        "longest_unseen_s": float(longest_run(~visible).max() * problem.tau),
+        "rmse_m": float(np.sqrt((position_error**2).sum(axis=1).mean())),
+        "nees": float(np.einsum("ni,nij,nj->n", error, trace.information[K, :n].astype(float), error).mean()),
+    }
+
+
+def longest_run(flags: Bool[np.ndarray, "K n"]) -> Int[np.ndarray, " n"]:
+    """The longest run of true values in each column."""
+    longest = current = np.zeros(flags.shape[1], int)
+    for row in flags:
+        current = np.where(row, current + 1, 0)
+        longest = np.maximum(longest, current)
+    return longest
+
+
+def chi_square_band(dof: float, count: int) -> tuple[float, float]:
+    """The interval that holds 95 % of means of `count` chi-square variables (Wilson and Hilferty 1931)."""
+    total = dof * count
+    spread = 2.0 / (9.0 * total)
+    low, high = (dof * (1.0 - spread + sign * Z95 * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))
+    return low, high
+
+
+def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
+    """One summary a cell, in the order in which cells first appear; scenes without targets are left out."""
+    cells: dict[tuple, list[Row]] = {}
+    for row in rows:
+        if row.score is not None:
+            cells.setdefault((row.method, row.protocol, row.motion, row.targets), []).append(row)
+    return [_summary(*cell, group, state_size) for cell, group in cells.items()]
+
+
+def _summary(
+    method: str, protocol: str, motion: str, targets: int, rows: Sequence[Row], state_size: int
+) -> Summary:
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(row, name) for row in rows]))
+
+    scores = np.array([row.score for row in rows])
+    by_scene: dict[str, list[float]] = {}
+    for row in rows:
+        by_scene.setdefault(row.scene, []).append(row.score)
+    # Episodes of one scene share its layout, so the scene is the unit that is independent.
+    means = np.array([np.mean(values) for values in by_scene.values()])
+    half = Z95 * means.std(ddof=1) / math.sqrt(len(means)) if len(means) > 1 else 0.0
+    return Summary(
+        method=method,
+        protocol=protocol,
+        motion=motion,
+        targets=targets,
+        mean=float(scores.mean()),
+        std=float(scores.std(ddof=1)) if len(scores) > 1 else 0.0,
+        ci95=(float(means.mean() - half), float(means.mean() + half)),
+        seen_fraction=mean("seen_fraction"),
+        seen_step_fraction=mean("seen_step_fraction"),
+        rmse_m=mean("rmse_m"),
+        nees=mean("nees"),
+        nees_band=chi_square_band(state_size, targets * len(rows)),
+        episodes=len(rows),
+    )
+
+
+def result(rows: Sequence[Row], summary: Sequence[Summary], facts: dict[str, str]) -> dict[str, object]:
+    """The evaluation as JSON: rows, summary, and what they were made with."""
+    return {**facts, "rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}

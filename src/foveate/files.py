@@ -1,0 +1,107 @@
+"""Files written whole or not at all, and read with errors that say in one line what is wrong."""
+
+import json
+import math
+import os
+import secrets
+from pathlib import Path
+from typing import Any, NoReturn
+
+
+def file_error(path: str | Path, problem: str) -> ValueError:
+    """The error about a file or a place in it, as one line that starts with its name."""
+    return ValueError(" ".join(f"{path}: {problem}".splitlines()))
+
+
+def write_atomic(path: str | Path, data: bytes) -> None:
+    """Write `data` so that a crash leaves the old file or the new one, never a part.
+
+    Raises ValueError where `path` is a folder or its folder is missing, OSError where the system refuses.
+    """
+    target = Path(os.path.realpath(path))  # a link keeps pointing where it did
+    if os.path.isdir(path):
+        raise file_error(path, "is a folder; name a file")
+    if os.path.exists(path) and not os.path.isfile(path):
+        Path(path).write_bytes(data)  # a device or a pipe: replacing /dev/null by a file would be a disaster
+        return
+    if not target.parent.is_dir():
+        raise file_error(path, f"there is no folder {target.parent}; make it first or name another")
+    temporary = target.parent / f".{secrets.token_hex(8)}.tmp"
+    try:
+        with open(temporary, "xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
+    except BaseException:  # also an interrupt from the keyboard leaves nothing behind
+        temporary.unlink(missing_ok=True)
+        raise
+    _sync_folder(target.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a rename inside `folder` to the disk."""
+    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot open a folder, and needs no sync of it
+        return
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_json(path: str | Path, obj: Any) -> None:
+    """Write `obj` as JSON, whole or not at all. Raises ValueError on NaN and infinity."""
+    try:
+        text = json.dumps(obj, allow_nan=False, indent=1)
+    except ValueError as error:
+        raise file_error(path, f"cannot be written: {error}; use null where there is no number") from error
+    write_atomic(path, text.encode() + b"\n")
+
+
+def read_bytes(path: str | Path, what: str) -> bytes:
+    """The content of a file. Raises ValueError, saying that a `what` was wanted, where it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError as error:
+        raise file_error(path, f"there is no such file; give the name of a {what}") from error
+    except IsADirectoryError as error:
+        raise file_error(path, f"is a folder; give the name of a {what}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a NUL character
+        reason = getattr(error, "strerror", None) or error
+        raise file_error(path, f"cannot be read ({reason}); give the name of a {what}") from error
+
+
+def read_text(path: str | Path, what: str) -> str:
+    """The text of a UTF-8 file, with or without byte-order mark. Raises ValueError where it has none."""
+    try:
+        return read_bytes(path, what).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise file_error(path, f"byte {error.start} is not UTF-8; save the {what} as UTF-8 text") from error
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """The content of a JSON file. Raises ValueError where it is missing, cut short or not strict JSON."""
+    text = read_text(path, what)
+    try:
+        return json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
+    except json.JSONDecodeError as error:
+        cut = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
+        problem = "is empty or cut short" if cut else "is not JSON"
+        place = f"{error.msg} at line {error.lineno}, column {error.colno}"
+        raise file_error(path, f"{problem} ({place}); give a complete {what}") from error
+    except (ValueError, RecursionError) as error:
+        raise file_error(path, f"is not a usable {what}: {error}") from error
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    """Refuse NaN and the infinities, which Python's parser takes though JSON has none."""
+    raise ValueError(f"{name} is not JSON; use null where there is no number")
+
+
+def _finite(digits: str) -> float:
+    """The number that `digits` say. Raises ValueError where it is too large for a float."""
+    number = float(digits)
+    if not math.isfinite(number):
+        raise ValueError(f"the number {digits:.40} is too large; give one below 1.8e308")
+    return number

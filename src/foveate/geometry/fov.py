@@ -1,0 +1,286 @@
+"""Fields of view: regions of the body frame with an exact signed distance, in the plane and in any dimension.
+
+Each shape is made by the lower-case function of its name, which checks plain numbers. The classes check
+nothing, so their parameters may be traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`.
+Shapes of space, and combinations, are in `fov_spatial`. Products of coordinates are summed elementwise, never
+by matmul, which accelerators round to fewer bits.
+"""
+
+import abc
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from foveate.types import Point, Scalar
+
+Number = float | int
+
+
+class FieldOfView(eqx.Module):
+    """A closed region F of the body frame (x ahead, y to the left, z up), lengths in metres."""
+
+    @property
+    @abc.abstractmethod
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+
+    @property
+    @abc.abstractmethod
+    def depth(self) -> Scalar:
+        """Largest distance from the origin of the body frame to a point of F [m], inf if F is unbounded."""
+
+    @abc.abstractmethod
+    def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
+        """Euclidean distance to the boundary of F [m], < 0 inside, > 0 outside.
+
+        Its gradient has norm 1 almost everywhere, and is finite where it is not unique.
+        """
+
+    @abc.abstractmethod
+    def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
+        """Lines to draw [m]: one closed (M, 2) polyline in the plane, a list of (M, 3) polylines in space.
+
+        `reach` [m] is how far from the origin an unbounded shape is drawn.
+        """
+
+    def contains(self, point_body: Float[Array, "... d"]) -> Bool[Array, "..."]:
+        """Whether the point lies in F, boundary included."""
+        return self.signed_distance(point_body) <= 0
+
+
+def require(ok: bool | np.bool, name: str, value: object, right: str) -> None:
+    """Raise a one-line ValueError that names the parameter, what it must be and its value, unless `ok`."""
+    if not ok:
+        raise ValueError(f"{name} must be {right}, got {value!r}")
+
+
+def safe_sqrt(square: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Square root whose derivative at 0 is 0."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def arc(start: float, stop: float, count: int = 65) -> np.ndarray:
+    """Points (count, 2) of the unit circle between two angles [rad]."""
+    angle = np.linspace(start, stop, count)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def closed(points: np.ndarray) -> np.ndarray:
+    """The polyline (M + 1, d) through `points` (M, d) and back to the first."""
+    return np.concatenate([points, points[:1]])
+
+
+class ConvexPolygon(FieldOfView):
+    """A convex polygon of the plane: vertices [m] counter-clockwise, none repeated."""
+
+    vertices: Float[Array, "v 2"]
+
+    @property
+    def dimension(self) -> int:
+        return 2
+
+    @property
+    def depth(self) -> Scalar:
+        return jnp.sqrt(jnp.max(jnp.sum(self.vertices**2, axis=-1)))
+
+    def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
+        """Distance to the nearest edge, negative where the point is left of all edges [m].
+
+        d = +-sqrt(min_i (h_i^2 + e_i^2)), h_i the height over the line of edge i, e_i how far the foot of the
+        point lies beyond the edge's ends. On the boundary itself the gradient is 0.
+        """
+        edges = jnp.roll(self.vertices, -1, axis=0) - self.vertices
+        lengths = jnp.sqrt(jnp.sum(edges**2, axis=-1))
+        t_x, t_y = (edges / lengths[:, None]).T
+        x, y = point_body[..., :1] - self.vertices[:, 0], point_body[..., 1:] - self.vertices[:, 1]
+        heights, along = t_y * x - t_x * y, t_x * x + t_y * y
+        beyond = along - jnp.clip(along, 0.0, lengths)
+        distance = safe_sqrt(jnp.min(heights**2 + beyond**2, axis=-1))
+        return jnp.where(jnp.all(heights <= 0, axis=-1), -distance, distance)
+
+    def outline(self, reach: float = 10.0) -> np.ndarray:
+        return closed(np.asarray(self.vertices))
+
+
+def triangle_vertices(depth: Scalar | Number, angle: Scalar | Number) -> Float[Array, "3 2"]:
+    """Vertices (0, 0), (depth, -+depth tan(angle / 2)) [m], counter-clockwise; unchecked, may be traced."""
+    depth = jnp.asarray(depth, float)
+    half_width = depth * jnp.tan(jnp.asarray(angle, float) / 2)
+    ahead = jnp.stack([jnp.zeros_like(depth), depth, depth])
+    return jnp.stack([ahead, jnp.stack([jnp.zeros_like(depth), -half_width, half_width])], axis=-1)
+
+
+def triangle(depth: Number, angle: Number) -> ConvexPolygon:
+    """The paper's field of view: apex at the agent, opening along +x, `depth` [m] to its far edge.
+
+    `angle` [rad] is the full one, in (0, pi). Raises ValueError where either is out of range.
+    """
+    require(0 < depth < math.inf, "depth", depth, "a finite number > 0 [m]")
+    require(0 < angle < math.pi, "angle", angle, "in (0, pi) [rad]")
+    return ConvexPolygon(triangle_vertices(depth, angle))
+
+
+def polygon(vertices: np.ndarray | Sequence[Sequence[Number]]) -> ConvexPolygon:
+    """The convex polygon through `vertices` (v, 2) [m], listed in order around it, in either sense.
+
+    Raises ValueError for fewer than 3 vertices, a value that is not finite, a repeated vertex, zero area, or
+    a shape that is not convex (turns of both signs, or more than one turn in all), up to 1e-6 rad.
+    """
+    points = np.asarray(vertices, jnp.result_type(float)).astype(float)  # rounded as it will be stored
+    ok = points.ndim == 2 and points.shape[0] >= 3 and points.shape[1] == 2
+    require(ok, "vertices", points.shape, "an array of shape (v, 2) with v >= 3")
+    given = points.tolist()
+    require(np.isfinite(points).all(), "vertices", given, "finite numbers [m]")
+    edges = np.roll(points, -1, axis=0) - points
+    require(edges.any(axis=-1).all(), "vertices", given, "free of repetitions")
+    centred = points - points.mean(axis=0)
+    area = np.sum(centred[:, 0] * edges[:, 1] - centred[:, 1] * edges[:, 0]) / 2
+    require(abs(area) > 1e-9 * np.max(np.ptp(points, axis=0)) ** 2, "vertices", given, "of non-zero area")
+    following = np.roll(edges, -1, axis=0)
+    cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    turns = np.sign(area) * np.arctan2(cross, np.sum(edges * following, axis=-1))
+    convex = np.all(turns > -1e-6) and abs(np.sum(turns) - 2 * math.pi) < 1
+    require(convex, "vertices", given, "the corners of a convex polygon, in order around it")
+    return ConvexPolygon(jnp.asarray(points if area > 0 else points[::-1], float))
+
+
+def annular_sector_distance(
+    ahead: Float[Array, "..."], aside: Float[Array, "..."], near: Scalar, far: Scalar, half_angle: Scalar
+) -> Float[Array, "..."]:
+    """Signed distance [m] of (ahead, aside >= 0) to {near <= r <= far, |bearing| <= half_angle}.
+
+    Within the angle the boundary is nearest along the ray through the point (a circle) or on the straight
+    side; beyond the angle it is the straight side, by reflection in the axis the one on the same side.
+    """
+    full = half_angle >= math.pi
+    u_x, u_y = jnp.cos(half_angle), jnp.sin(half_angle)
+    height, along = u_x * aside - u_y * ahead, u_x * ahead + u_y * aside
+    beyond = along - jnp.clip(along, near, far)
+    corner = safe_sqrt(height**2 + beyond**2)
+    side = jnp.where(beyond == 0, height, jnp.where(height > 0, corner, -corner))
+    side = jnp.where(full, -jnp.inf, side)
+    radius = safe_sqrt(ahead**2 + aside**2)
+    radial = jnp.maximum(radius - far, jnp.where(near > 0, near - radius, -jnp.inf))
+    return jnp.where(side > 0, side, jnp.maximum(radial, side))
+
+
+def annular_sector_outline(near: float, far: float, half_angle: float) -> np.ndarray:
+    """Its closed boundary (M, 2) [m]; a full ring is joined to its hole by a cut, a full disc is a circle."""
+    unit = arc(-half_angle, half_angle)
+    inner = near * unit[::-1] if near > 0 else np.zeros((int(half_angle < math.pi), 2))
+    return closed(np.concatenate([far * unit, inner]))
+
+
+class Sector(FieldOfView):
+    """A circular sector about +x with its apex at the origin: near <= r <= radius [m], full angle [rad]."""
+
+    radius: Scalar
+    angle: Scalar
+    near: Scalar
+
+    @property
+    def dimension(self) -> int:
+        return 2
+
+    @property
+    def depth(self) -> Scalar:
+        return self.radius
+
+    def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
+        x, y = point_body[..., 0], jnp.abs(point_body[..., 1])
+        return annular_sector_distance(x, y, self.near, self.radius, self.angle / 2)
+
+    def outline(self, reach: float = 10.0) -> np.ndarray:
+        return annular_sector_outline(float(self.near), float(self.radius), float(self.angle) / 2)
+
+
+def sector(radius: Number, angle: Number, near: Number = 0.0) -> Sector:
+    """The sector of full angle (0, 2 pi] [rad] about +x between the ranges `near` >= 0 and `radius` [m].
+
+    At 2 pi it is the full disc or ring. Raises ValueError where a parameter is out of range.
+    """
+    require(0 < radius < math.inf, "radius", radius, "a finite number > 0 [m]")
+    require(0 < angle <= 2 * math.pi, "angle", angle, "in (0, 2 pi] [rad]")
+    require(0 <= near < radius, "near", near, f"in [0, radius = {radius}) [m]")
+    return Sector(*(jnp.asarray(value, float) for value in (radius, angle, near)))
+
+
+class HalfSpace(FieldOfView):
+    """All p with normal . p <= offset [m], `normal` a unit vector, in the plane or in space."""
+
+    normal: Point
+    offset: Scalar
+
+    @property
+    def dimension(self) -> int:
+        return self.normal.shape[-1]
+
+    @property
+    def depth(self) -> Scalar:
+        return jnp.full_like(self.offset, jnp.inf)
+
+    def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
+        return jnp.sum(self.normal * point_body, axis=-1) - self.offset
+
+    def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
+        """A rectangle cut off at least `reach` from the origin; in space a square of its plane."""
+        normal, offset = np.asarray(self.normal), float(self.offset)
+        across = np.linalg.svd(normal[None])[2][1:] * reach
+        if self.dimension == 2:
+            top, bottom = normal * offset, normal * min(-reach, offset - reach)
+            return closed(
+                np.stack([top - across[0], top + across[0], bottom + across[0], bottom - across[0]])
+            )
+        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return [closed(normal * offset + signs @ across)]
+
+
+def half_space(normal: np.ndarray | Sequence[Number], offset: Number) -> HalfSpace:
+    """The half-space behind the plane at signed distance `offset` [m] along `normal`, of any length > 0.
+
+    Raises ValueError where the normal is not 2 or 3 finite numbers with one != 0, or the offset not finite.
+    """
+    direction = np.asarray(normal, float)
+    ok = direction.shape in {(2,), (3,)} and np.isfinite(direction).all() and direction.any()
+    require(ok, "normal", direction.tolist(), "2 or 3 finite numbers, not all 0")
+    require(math.isfinite(offset), "offset", offset, "a finite number [m]")
+    return HalfSpace(jnp.asarray(direction / np.linalg.norm(direction), float), jnp.asarray(offset, float))
+
+
+class Ball(FieldOfView):
+    """A disc or ball about `center` [m]; what an omnidirectional sensor of limited range sees."""
+
+    center: Point
+    radius: Scalar
+
+    @property
+    def dimension(self) -> int:
+        return self.center.shape[-1]
+
+    @property
+    def depth(self) -> Scalar:
+        return safe_sqrt(jnp.sum(self.center**2)) + self.radius
+
+    def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
+        return safe_sqrt(jnp.sum((point_body - self.center) ** 2, axis=-1)) - self.radius
+
+    def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
+        """The circle, or three great circles."""
+        center, circle = np.asarray(self.center), float(self.radius) * arc(0.0, 2 * math.pi)
+        if self.dimension == 2:
+            return center + circle
+        return [center + np.insert(circle, axis, 0.0, axis=1) for axis in range(3)]
+
+
+def ball(center: np.ndarray | Sequence[Number], radius: Number) -> Ball:
+    """The disc (2 coordinates) or ball (3) of `radius` > 0 [m]; ValueError where a value is out of range."""
+    middle = np.asarray(center, float)
+    ok = middle.shape in {(2,), (3,)} and np.isfinite(middle).all()
+    require(ok, "center", middle.tolist(), "2 or 3 finite numbers [m]")
+    require(0 < radius < math.inf, "radius", radius, "a finite number > 0 [m]")
+    return Ball(jnp.asarray(middle, float), jnp.asarray(radius, float))

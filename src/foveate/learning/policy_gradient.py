@@ -1,0 +1,123 @@
+"""The paper's learner: gradient ascent on the log determinant through the whole simulated episode (proposition 1).
+
+Reverse mode through one scan, so the cost does not grow with the number of parameters.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float
+
+from foveate.episodes import draw, draw_noise, episode_of
+from foveate.problem import Episode, Policy, Problem
+from foveate.rollout import log_dets
+from foveate.scenario import SceneSettings
+from foveate.settings import TrainingSettings
+from foveate.types import Count, Key, Scalar
+
+
+class Learner(eqx.Module):
+    """Everything that one epoch hands on to the next."""
+
+    policy: Policy
+    optimizer: optax.OptState
+    epoch: Count
+
+
+class Report(eqx.Module):
+    """One epoch in numbers: the objective [nat per target], the gradient's norm before its bound, and all finite?"""
+
+    objective: Scalar
+    gradient_norm: Scalar
+    finite: Bool[Array, ""]
+
+
+def optimizer(settings: TrainingSettings) -> optax.GradientTransformation:
+    """Adam on the bounded gradient."""
+    rate = settings.learning_rate
+    if settings.schedule == "cosine":
+        rate = optax.cosine_decay_schedule(rate, settings.epochs)
+    return optax.chain(optax.clip_by_global_norm(settings.gradient_bound), optax.adam(rate))
+
+
+def begin(policy: Policy, settings: TrainingSettings) -> Learner:
+    """A learner before its first epoch."""
+    parameters = eqx.filter(policy, eqx.is_inexact_array)
+    return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int))
+
+
+def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool) -> Episode:
+    """One fresh training episode; without `noise` the mean is the truth and is never corrected."""
+    scene_key, noise_key = jax.random.split(key)
+    steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
+    chance = draw_noise(problem, noise_key, steps, targets)
+    return episode_of(problem, scenes, draw(scenes, problem, scene_key), chance, with_truth=noise)
+
+
+def objective(
+    problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
+) -> Float[Array, ""]:
+    """What one episode earns [nat per target]: sum_j log det Y^(j) / n, at the horizon or on the mean over the steps."""
+    values = log_dets(problem, policy, episode, settings.protocol, key)
+    score = jnp.sum(jnp.where(episode.present, values, 0.0), axis=1) / jnp.maximum(
+        jnp.sum(episode.present), 1
+    )
+    if settings.objective == "terminal":
+        return score[episode.horizon - 1]
+    return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
+
+
+def epoch(
+    problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key
+) -> tuple[Learner, Report]:
+    """One step of ascent on a fresh batch; the chance of epoch i comes from (key, i) alone."""
+    parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
+    episode_key, policy_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
+    batch = jax.vmap(lambda k: training_episode(problem, scenes, k, settings.noise))(
+        jax.random.split(episode_key, settings.episodes)
+    )
+
+    def loss(parameters):
+        policy = eqx.combine(parameters, rest)
+        keys = jax.random.split(policy_key, settings.episodes)
+        return -jnp.mean(jax.vmap(lambda e, k: objective(problem, policy, e, settings, k))(batch, keys))
+
+    value, gradient = jax.value_and_grad(loss)(parameters)
+    norm = optax.global_norm(gradient)
+    updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
+    policy = eqx.combine(optax.apply_updates(parameters, updates), rest)
+    report = Report(-value, norm, jnp.isfinite(value) & jnp.isfinite(norm))
+    return Learner(policy, state, learner.epoch + 1), report
+
+
+def epochs(
+    problem: Problem,
+    scenes: SceneSettings,
+    settings: TrainingSettings,
+    count: Count,
+    learner: Learner,
+    key: Key,
+) -> tuple[Learner, Report]:
+    """`count` epochs in one compiled loop: the mean objective, the largest norm, and whether all were finite.
+
+    An epoch that is not finite changes nothing: the learner stays as it was before it.
+    """
+    arrays, static = eqx.partition(learner, eqx.is_array)
+
+    def step(_, carry):
+        arrays, total = carry
+        after, now = epoch(problem, scenes, settings, eqx.combine(arrays, static), key)
+        kept = jax.tree.map(
+            lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays
+        )
+        sums = Report(
+            total.objective + now.objective,
+            jnp.maximum(total.gradient_norm, now.gradient_norm),
+            total.finite & now.finite,
+        )
+        return kept, sums
+
+    nothing = Report(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
+    arrays, total = jax.lax.fori_loop(0, count, step, (arrays, nothing))
+    return eqx.combine(arrays, static), Report(total.objective / count, total.gradient_norm, total.finite)

@@ -1,0 +1,254 @@
+"""Training that survives: the loop around the learner. It judges, keeps the best, notices collapse, and can go on."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from tensorboardX import SummaryWriter
+
+from foveate.checkpoint import BEST, CONFIG, LAST, load_tree, save_tree, write_config
+from foveate.configuration import digest, load_toml
+from foveate.episodes import draw, draw_noise, episode_of
+from foveate.files import write_atomic
+from foveate.learning.policy_gradient import Learner, begin, epochs
+from foveate.problem import Episode, Policy, Problem, Trace
+from foveate.rollout import PROTOCOLS, rollout
+from foveate.settings import Experiment
+from foveate.types import Key
+
+METRICS = "metrics.jsonl"
+LIMIT = 0.99
+"""A command this close to a limit of its axis (or tanh beyond it) has no gradient to come back by."""
+COLLAPSED_SHARE = 0.9
+COLLAPSED_SCORE = 1.0
+"""A held-out score this far [nat per target] below its best, for COLLAPSED_CHECKS checks in a row, is a collapse."""
+COLLAPSED_CHECKS = 10
+RETURNS = 3
+"""How often a collapsed training goes back to its best before it gives up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One judgement of a policy in training, a line of `metrics.jsonl`.
+
+    `objective` is the mean over the epochs since the last check, `held_out` the score of the protocol that selects
+    the best, `at_limit` the share of held-out commands at a limit.
+    """
+
+    epoch: int
+    objective: float
+    gradient_norm: float
+    held_out: float
+    at_limit: float
+    best: bool
+    epochs_per_s: float
+    elapsed_s: float
+    event: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a training ended."""
+
+    epochs: int
+    best_epoch: int
+    best_score: float
+    returns: int
+    stopped: str
+
+
+class Progress(eqx.Module):
+    """All that a training needs to go on exactly where it was; saved at every check."""
+
+    learner: Learner
+    best: Learner
+    best_score: jax.Array
+    best_epoch: jax.Array
+    below: jax.Array
+    returns: jax.Array
+
+
+def held_out_episodes(experiment: Experiment, problem: Problem, key: Key) -> Episode:
+    """Scenes that never train the policy, from the test distribution, with truth and noise."""
+    scenes = experiment.scenario.scenes
+    steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
+
+    def one(key: Key) -> Episode:
+        scene_key, noise_key = jax.random.split(key)
+        chance = draw_noise(problem, noise_key, steps, targets)
+        return episode_of(problem, scenes, draw(scenes, problem, scene_key, test=True), chance)
+
+    return jax.jit(jax.vmap(one))(jax.random.split(key, experiment.training.held_out))
+
+
+def judge(
+    experiment: Experiment, problem: Problem, policy: Policy, episodes: Episode, key: Key
+) -> tuple[jax.Array, jax.Array]:
+    """Mean held-out score [nat per target] and the share of commands at a limit."""
+    training = experiment.training
+    protocol = PROTOCOLS[training.select]
+    keys = jax.random.split(key, training.held_out)
+    trace: Trace = jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
+    counts = jnp.arange(trace.action.shape[1]) < episodes.horizon[:, None]
+    score = jnp.mean(trace.log_det, axis=2, where=episodes.present[:, None, :])
+    if training.objective == "terminal":
+        score = jnp.take_along_axis(score, episodes.horizon[:, None] - 1, axis=1)[:, 0]
+    else:
+        score = jnp.mean(score, axis=1, where=counts)
+    # A policy that stands at the limit of one axis may do so for good reason; at all of them it has collapsed.
+    at_limit = jnp.all(jnp.abs(trace.action) > LIMIT, axis=-1)
+    return jnp.mean(score), jnp.mean(at_limit, where=counts)
+
+
+def train(
+    experiment: Experiment,
+    out: Path,
+    seed: int = 0,
+    resume: bool = False,
+    report: Callable[[Check, int], None] = lambda check, total: None,
+) -> Outcome:
+    """Train a policy into the run folder `out`; `report` is called at every check.
+
+    The same experiment and seed give the same checkpoint, bit for bit, on the same machine, also when the training
+    was interrupted and resumed. Raises ValueError where `out` already holds a run (or, resumed, another one).
+    """
+    problem, training = experiment.scenario.problem(), experiment.training
+    keys = jax.random.split(jax.random.key(seed), 4)
+    learner = begin(experiment.policy.policy(problem, keys[0]), training)
+    zero = jnp.zeros((), int)
+    progress = Progress(learner, learner, jnp.array(-jnp.inf), zero, zero, zero)
+    episodes = held_out_episodes(experiment, problem, keys[1])
+    advance = eqx.filter_jit(
+        lambda count, learner: epochs(problem, experiment.scenario.scenes, training, count, learner, keys[2])
+    )
+    assess = eqx.filter_jit(lambda policy: judge(experiment, problem, policy, episodes, keys[3]))
+
+    elapsed = 0.0
+    if resume:
+        progress, elapsed = _resumed(out, experiment, seed, progress)
+    else:
+        _claim(out, experiment)
+    began, stopped = time.perf_counter() - elapsed, ""
+    with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
+        while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
+            count = min(training.check_every, training.epochs - done)
+            started = time.perf_counter()
+            learner, numbers = advance(jnp.array(count), progress.learner)
+            score, at_limit = (float(x) for x in assess(learner.policy))
+            finite = bool(numbers.finite) and jnp.isfinite(score)
+            progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite))
+            now = time.perf_counter()
+            check = Check(
+                epoch=int(learner.epoch),
+                objective=float(numbers.objective),
+                gradient_norm=float(numbers.gradient_norm),
+                held_out=score,
+                at_limit=at_limit,
+                best=int(progress.best_epoch) == int(learner.epoch),
+                epochs_per_s=count / (now - started),
+                elapsed_s=now - began,
+                event=event,
+            )
+            _keep(out, experiment, seed, progress, check, events)
+            report(check, training.epochs)
+    return Outcome(
+        epochs=int(progress.learner.epoch),
+        best_epoch=int(progress.best_epoch),
+        best_score=float(progress.best_score),
+        returns=int(progress.returns),
+        stopped=stopped,
+    )
+
+
+def _next(
+    progress: Progress, learner: Learner, score: float, at_limit: float, finite: bool
+) -> tuple[Progress, str, str]:
+    """What follows from one check: the progress to go on with, what happened, and why to stop (empty: go on)."""
+    if not finite:
+        kept = eqx.tree_at(lambda p: p.learner, progress, progress.best)
+        return (
+            kept,
+            "not finite",
+            f"epoch {int(learner.epoch)}: a gradient or score was not finite; the best is kept",
+        )
+    at_limits = at_limit > COLLAPSED_SHARE
+    if score > float(progress.best_score) and not at_limits:
+        zero = jnp.zeros((), int)
+        best = (learner, learner, jnp.array(score), learner.epoch, zero)
+        return Progress(*best, progress.returns), "", ""
+    low = score < float(progress.best_score) - COLLAPSED_SCORE
+    below = int(progress.below) + 1 if low else 0
+    learned = jnp.isfinite(progress.best_score)
+    if not (at_limits and bool(learned)) and below < COLLAPSED_CHECKS:
+        held = (progress.best, progress.best_score, progress.best_epoch, jnp.array(below), progress.returns)
+        return Progress(learner, *held), "", ""
+    why = (
+        f"{at_limit:.0%} of commands at a limit"
+        if at_limits
+        else f"held-out score {score:.2f} for {below} checks"
+    )
+    if int(progress.returns) == RETURNS:
+        return (
+            progress,
+            "collapse",
+            f"epoch {int(learner.epoch)}: collapsed ({why}) once more after {RETURNS} returns to the best",
+        )
+    # The epoch goes on counting, so that the way back is walked on other scenes.
+    back = eqx.tree_at(lambda best: best.epoch, progress.best, learner.epoch)
+    held = (progress.best, progress.best_score, progress.best_epoch, jnp.zeros((), int), progress.returns + 1)
+    return Progress(back, *held), f"collapse ({why}): back to epoch {int(progress.best_epoch)}", ""
+
+
+def _claim(out: Path, experiment: Experiment) -> None:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"{out}: exists already: choose another --out, or go on with --resume {out}")
+    (out / BEST).parent.mkdir(parents=True, exist_ok=True)
+    write_config(out, experiment)
+    write_atomic(out / METRICS, b"")
+
+
+def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tuple[Progress, float]:
+    stored = load_toml(Experiment, out / CONFIG)
+    if digest(stored) != digest(experiment):
+        raise ValueError(
+            f"{out}: config.toml describes another experiment: resume with the settings it began with"
+        )
+    progress, facts = load_tree(out / LAST, like, "training")
+    if facts["seed"] != seed:
+        raise ValueError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
+    lines = [
+        line
+        for line in (out / METRICS).read_text().splitlines()
+        if _epoch_of(line) <= int(progress.learner.epoch)
+    ]
+    write_atomic(out / METRICS, "".join(f"{line}\n" for line in lines).encode())
+    return progress, float(facts["elapsed_s"])
+
+
+def _epoch_of(line: str) -> float:
+    """The epoch of a line of metrics; a line that was cut while it was written counts as too late."""
+    try:
+        return json.loads(line)["epoch"]
+    except ValueError:
+        return float("inf")
+
+
+def _keep(
+    out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any
+) -> None:
+    facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
+    if check.best:
+        save_tree(
+            out / BEST, progress.best.policy, experiment, "policy", {**facts, "held_out": check.held_out}
+        )
+    save_tree(out / LAST, progress, experiment, "training", facts)
+    with (out / METRICS).open("a") as file:
+        file.write(json.dumps(asdict(check)) + "\n")
+    for name in ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s"):
+        events.add_scalar(name, getattr(check, name), check.epoch)

@@ -1,0 +1,103 @@
+"""Small symmetric positive definite matrices: inverse, log determinant, packing.
+
+Target states are small (2 to 9 numbers), so one LAPACK call a matrix costs more than the arithmetic. Up to 3 x 3
+the factorisation is written out in elementwise operations, which XLA fuses over targets and episodes; above
+that the library's Cholesky is used. Derivatives are the textbook ones and reuse the inverse:
+d(M^-1) = -M^-1 dM M^-1 and d log det M = tr(M^-1 dM).
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+UNROLLED = 3
+"""Largest size whose factorisation is written out."""
+
+
+def symmetrise(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
+    """(M + M^T) / 2: rounding makes a product of symmetric matrices drift off symmetry."""
+    return 0.5 * (matrix + jnp.swapaxes(matrix, -1, -2))
+
+
+def _pivots(m: Float[Array, "*b n n"]) -> tuple[list, list]:
+    """LDL^T of a small matrix by elimination: unit lower factor L as rows, and the pivots D."""
+    size = m.shape[-1]
+    lower: list[list] = [[None] * size for _ in range(size)]
+    pivots: list = []
+    for i in range(size):
+        for j in range(i):
+            rest = m[..., i, j] - sum(lower[i][k] * lower[j][k] * pivots[k] for k in range(j))
+            lower[i][j] = rest / pivots[j]
+        pivots.append(m[..., i, i] - sum(lower[i][k] ** 2 * pivots[k] for k in range(i)))
+    return lower, pivots
+
+
+def _unit_lower_inverse(lower: list) -> list:
+    """Inverse of a unit lower triangular matrix given as rows (its strict part only is filled)."""
+    size = len(lower)
+    inverse: list[list] = [[None] * size for _ in range(size)]
+    for i in range(size):
+        for j in range(i):
+            inverse[i][j] = -(lower[i][j] + sum(lower[i][k] * inverse[k][j] for k in range(j + 1, i)))
+    return inverse
+
+
+@jax.custom_jvp
+def inverse_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
+    """M^-1 of a symmetric positive definite matrix; the result is symmetric."""
+    size = matrix.shape[-1]
+    if size > UNROLLED:
+        factor = jnp.linalg.cholesky(matrix, symmetrize_input=False)
+        eye = jnp.broadcast_to(jnp.eye(size, dtype=matrix.dtype), matrix.shape)
+        root = jax.lax.linalg.triangular_solve(factor, eye, left_side=True, lower=True)
+        return jnp.swapaxes(root, -1, -2) @ root
+    lower, pivots = _pivots(matrix)
+    root = _unit_lower_inverse(lower)
+    rows: list[list] = [[None] * size for _ in range(size)]
+    for i in range(size):
+        for j in range(i + 1):
+            terms = [
+                (root[k][i] if k > i else 1.0) * (root[k][j] if k > j else 1.0) / pivots[k]
+                for k in range(i, size)
+            ]
+            rows[i][j] = rows[j][i] = sum(terms[1:], start=terms[0])
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@inverse_spd.defjvp
+def _inverse_spd_jvp(primals: tuple, tangents: tuple) -> tuple:
+    inverse = inverse_spd(*primals)
+    return inverse, -multiply(multiply(inverse, tangents[0]), inverse)
+
+
+@jax.custom_jvp
+def log_det_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b"]:
+    """log det M of a symmetric positive definite matrix; NaN where it is not definite."""
+    if matrix.shape[-1] > UNROLLED:
+        factor = jnp.linalg.cholesky(matrix, symmetrize_input=False)
+        return 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)), axis=-1)
+    _, pivots = _pivots(matrix)
+    return sum(map(jnp.log, pivots[1:]), start=jnp.log(pivots[0]))
+
+
+@log_det_spd.defjvp
+def _log_det_spd_jvp(primals: tuple, tangents: tuple) -> tuple:
+    return log_det_spd(*primals), jnp.sum(inverse_spd(*primals) * tangents[0], axis=(-2, -1))
+
+
+def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Array, "*d n k"]:
+    """a b as an elementwise sum of outer products.
+
+    For 2 x 2 and 3 x 3 matrices in large batches this fuses with its neighbours, where `a @ b` is a separate
+    batched product that the CPU runs one matrix at a time.
+    """
+    if max(a.shape[-2:] + b.shape[-1:]) > UNROLLED:
+        return a @ b
+    terms = [a[..., :, k, None] * b[..., None, k, :] for k in range(a.shape[-1])]
+    return sum(terms[1:], start=terms[0]) if terms else jnp.zeros((*a.shape[:-1], b.shape[-1]), a.dtype)
+
+
+def vech(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b p"]:
+    """Half-vectorisation: the lower triangle, row by row, p = n (n + 1) / 2."""
+    rows, columns = jnp.tril_indices(matrix.shape[-1])
+    return matrix[..., rows, columns]

@@ -1,0 +1,38 @@
+"""The agent's body: which axes of its twist it can command, and how far."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.geometry.space import Space
+from foveate.types import Action, Pose, Scalar, Twist
+
+
+class Agent(eqx.Module):
+    """Kinematic body T' = T exp(tau hat(u)) with box limits on the actuated axes of u (paper, equation 1).
+
+    `axes` are indices into the twist; `lower` and `upper` are their limits [m/s, rad/s]; the other axes stay 0.
+    """
+
+    space: Space = eqx.field(static=True)
+    axes: tuple[int, ...] = eqx.field(static=True)
+    lower: Float[Array, " m"]
+    upper: Float[Array, " m"]
+
+    def control(self, action: Action) -> Float[Array, " m"]:
+        """The command [m/s, rad/s] of a normalised action; exactly within the limits, whatever the action."""
+        share = 0.5 * (1.0 + jnp.clip(action, -1.0, 1.0))
+        return jnp.clip(self.lower + share * (self.upper - self.lower), self.lower, self.upper)
+
+    def action(self, control: Float[Array, " m"]) -> Action:
+        """The normalised action whose command is nearest to `control` [m/s, rad/s]."""
+        return jnp.clip(2.0 * (control - self.lower) / (self.upper - self.lower) - 1.0, -1.0, 1.0)
+
+    def twist(self, action: Action) -> Twist:
+        """Body-frame twist of a normalised action, shape (n_u,)."""
+        control = self.control(action)
+        return jnp.zeros(self.space.twist_size, control.dtype).at[jnp.array(self.axes)].set(control)
+
+    def move(self, pose: Pose, action: Action, tau: Scalar) -> Pose:
+        """The pose after `tau` seconds of one constant action."""
+        return self.space.move(pose, tau * self.twist(action))

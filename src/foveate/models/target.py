@@ -1,0 +1,50 @@
+"""How one target moves: y' = A y + B xi + w, w ~ N(0, W) (paper, equation 2)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.types import Mean, Point
+
+
+class LinearGaussian(eqx.Module):
+    """Linear-Gaussian motion of one target.
+
+    A (n_y, n_y), B (n_y, m_y), W (n_y, n_y) covariance of the process noise per step, Z (d, n_y) gives the
+    position [m] of a state. Where n_y is a multiple of d, the state is read as d-vectors (position, velocity, ...)
+    that turn with the frame.
+    """
+
+    A: Float[Array, "n_y n_y"]
+    B: Float[Array, "n_y m_y"]
+    W: Float[Array, "n_y n_y"]
+    Z: Float[Array, "d n_y"]
+
+    @property
+    def dimension(self) -> int:
+        """Dimension d of space."""
+        return self.Z.shape[0]
+
+    @property
+    def state_size(self) -> int:
+        """Length n_y of the state."""
+        return self.A.shape[0]
+
+    @property
+    def input_size(self) -> int:
+        """Length m_y of the known input."""
+        return self.B.shape[1]
+
+    def position(self, state: Float[Array, "*b n_y"]) -> Float[Array, "*b d"]:
+        """zeta(y) = Z y [m]."""
+        return state @ self.Z.T
+
+    def state_at(self, position_world: Point) -> Mean:
+        """The state at a position with every other component 0 (the least-norm solution of Z y = position)."""
+        return jnp.linalg.pinv(self.Z) @ position_world
+
+    def advance(
+        self, state: Float[Array, "*b n_y"], known_input: Float[Array, "*b m_y"]
+    ) -> Float[Array, "*b n_y"]:
+        """A y + B xi, without the noise."""
+        return state @ self.A.T + known_input @ self.B.T

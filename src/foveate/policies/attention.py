@@ -1,0 +1,96 @@
+"""The paper's network: an embedding of the agent attends to an embedding of every target (paper, section 3.2)."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.geometry.space import Space
+from foveate.policies.inputs import Frame, policy_inputs
+from foveate.problem import Observation, Policy, Problem
+from foveate.types import Action, Key
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttentionSettings:
+    """The paper's network. Widths of its layers, alpha, the frame of its inputs, and more layers before the last."""
+
+    kind: Literal["attention"] = "attention"
+    frame: Frame = "body"
+    agent_widths: tuple[int, ...] = (32, 32)
+    target_widths: tuple[int, ...] = (64, 32)
+    out_widths: tuple[int, ...] = (64,)
+    alpha: float = 4.0
+
+    def __post_init__(self) -> None:
+        for name in ("agent_widths", "target_widths", "out_widths"):
+            widths = getattr(self, name)
+            if not widths or min(widths) < 1:
+                raise ValueError(f"{name} = {widths}: expected at least one width, each >= 1")
+        if self.agent_widths[-1] != self.target_widths[-1]:
+            raise ValueError(
+                f"target_widths = {self.target_widths}: expected to end in {self.agent_widths[-1]} as agent_widths does"
+            )
+        if self.alpha <= 0:
+            raise ValueError(f"alpha = {self.alpha}: expected > 0")
+
+    def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
+        """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
+        d, n_y = problem.agent.space.dimension, problem.motion.state_size
+        if self.frame == "body" and (n_y % d or not jnp.array_equal(problem.motion.Z, jnp.eye(d, n_y))):
+            raise ValueError(
+                f"frame = 'body': expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
+            )
+        keys = jax.random.split(key, 3)
+        embedding = self.agent_widths[-1]
+        out = (*self.out_widths, len(problem.agent.axes))
+        return AttentionPolicy(
+            agent_layers=_layers((problem.agent.space.twist_size, *self.agent_widths), keys[0]),
+            target_layers=_layers((n_y + n_y * (n_y + 1) // 2, *self.target_widths), keys[1]),
+            out_layers=_layers((2 * embedding, *out), keys[2]),
+            space=problem.agent.space,
+            frame=self.frame,
+            alpha=self.alpha,
+        )
+
+
+def _layers(widths: tuple[int, ...], key: Key) -> tuple[eqx.nn.Linear, ...]:
+    keys = jax.random.split(key, len(widths) - 1)
+    return tuple(eqx.nn.Linear(a, b, key=k) for a, b, k in zip(widths[:-1], widths[1:], keys, strict=True))
+
+
+class AttentionPolicy(Policy):
+    """u = pi_theta(s): AP_FC on the pose, LI_FC on each target, attention of one on the other, Out_FC."""
+
+    agent_layers: tuple[eqx.nn.Linear, ...]
+    target_layers: tuple[eqx.nn.Linear, ...]
+    out_layers: tuple[eqx.nn.Linear, ...]
+    space: Space = eqx.field(static=True)
+    frame: Frame = eqx.field(static=True)
+    alpha: float = eqx.field(static=True)
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """Deterministic: tanh of the last layer."""
+        del key
+        pose, targets = policy_inputs(observation, self.space, self.frame)
+        for layer in self.agent_layers:
+            pose = jax.nn.relu(layer(pose))
+        for layer in self.target_layers:
+            targets = jax.nn.relu(jax.vmap(layer)(targets))
+        weights = masked_softmax(targets @ pose / self.alpha, observation.present)
+        hidden = jnp.concatenate([jax.nn.relu(weights @ targets), pose])
+        for layer in self.out_layers[:-1]:
+            hidden = jax.nn.relu(layer(hidden))
+        return jnp.tanh(self.out_layers[-1](hidden)), memory
+
+
+def masked_softmax(scores: Float[Array, " n"], mask: Bool[Array, " n"]) -> Float[Array, " n"]:
+    """Softmax over the entries where `mask` holds, 0 elsewhere; all 0, with zero derivative, where none does."""
+    largest = jnp.max(scores, initial=-jnp.inf, where=mask)
+    shift = jax.lax.stop_gradient(jnp.where(jnp.isfinite(largest), largest, 0.0))
+    powers = jnp.where(mask, jnp.exp(jnp.where(mask, scores - shift, 0.0)), 0.0)
+    total = jnp.sum(powers)
+    return powers / jnp.where(total > 0, total, 1.0)

@@ -1,0 +1,143 @@
+"""Policies made by hand: what a learned policy has to beat."""
+
+import abc
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.linalg import log_det_spd
+from foveate.problem import Observation, Policy, Problem
+from foveate.types import Action, Flag, Key, Point
+
+
+class Random(Policy):
+    """A new action every step, uniform within the limits."""
+
+    problem: Problem
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """Uniform in [-1, 1] per axis."""
+        return jax.random.uniform(key, self.problem.agent.lower.shape, minval=-1.0), memory
+
+
+class Still(Policy):
+    """Stands as still as its limits allow."""
+
+    problem: Problem
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """The action of zero velocity."""
+        return self.problem.agent.action(jnp.zeros_like(self.problem.agent.lower)), memory
+
+
+class Steering(Policy):
+    """Turns to a goal and drives until it stands `standoff_m` before it; a subclass chooses the goal."""
+
+    problem: Problem
+    standoff_m: float = eqx.field(static=True)
+
+    @abc.abstractmethod
+    def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
+        """Position of the goal in the world [m], whether there is one, and the memory for the next step."""
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """Heading first: the speed ahead falls with the cosine of the angle that is still to turn."""
+        goal_world, exists, memory = self.goal(observation, memory)
+        agent = self.problem.agent
+        point = agent.space.to_body(observation.pose, goal_world)
+        there = agent.action(_twist_towards(point, self.standoff_m, self.problem.tau)[jnp.array(agent.axes)])
+        rest = agent.action(jnp.zeros_like(agent.lower))
+        return jnp.where(exists, there, rest), memory
+
+
+def _twist_towards(point_body: Point, standoff_m: float, tau: Float[Array, ""]) -> Float[Array, " n_u"]:
+    """The twist that would face a body-frame point, and end `standoff_m` before it, after one period."""
+    across = jnp.hypot(point_body[0], point_body[1])
+    bearing = jnp.arctan2(point_body[1], point_body[0])
+    ahead = jnp.maximum(jnp.cos(bearing), 0.0) * (across - standoff_m)
+    zero = jnp.zeros_like(ahead)
+    if len(point_body) == 2:
+        return jnp.stack([ahead, zero, bearing]) / tau
+    elevation = jnp.arctan2(point_body[2], across)
+    return jnp.stack([ahead, zero, point_body[2], zero, -elevation, bearing]) / tau
+
+
+class Nearest(Steering):
+    """Goes after the target whose predicted position is nearest."""
+
+    def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
+        """The nearest predicted mean."""
+        position = self.problem.motion.position(observation.mean)
+        away = jnp.sum((position - self.problem.agent.space.position(observation.pose)) ** 2, axis=-1)
+        choice = jnp.argmin(jnp.where(observation.present, away, jnp.inf))
+        return position[choice], observation.present.any(), memory
+
+
+class Uncertain(Steering):
+    """Goes after the target that it knows least about: the smallest log det of the predicted information."""
+
+    def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
+        """The predicted mean with the least information; the nearer of equals."""
+        position = self.problem.motion.position(observation.mean)
+        away = jnp.linalg.norm(position - self.problem.agent.space.position(observation.pose), axis=-1)
+        known = log_det_spd(observation.information) + 1e-3 * away
+        choice = jnp.argmin(jnp.where(observation.present, known, jnp.inf))
+        return position[choice], observation.present.any(), memory
+
+
+class Lawnmower(Steering):
+    """Sweeps the box that holds all first beliefs in parallel lanes, a view apart, again and again.
+
+    Its memory is the lanes' corners and which of them comes next.
+    """
+
+    lanes: int = eqx.field(static=True)
+
+    def start(self, observation: Observation) -> Any:
+        """The corners of the lanes, shape (2 lanes, d), beginning at the one nearest the agent."""
+        position = self.problem.motion.position(observation.mean)
+        mask = observation.present[:, None]
+        here = self.problem.agent.space.position(observation.pose)
+        nobody = ~observation.present.any()
+        low = jnp.where(nobody, here, jnp.min(jnp.where(mask, position, jnp.inf), axis=0))
+        high = jnp.where(nobody, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
+        across = jnp.repeat((jnp.arange(self.lanes) + 0.5) / self.lanes, 2)
+        along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0]), math.ceil(self.lanes / 2))[: 2 * self.lanes]
+        middle = jnp.full((2 * self.lanes, low.shape[0] - 2), 0.5)
+        corners = low + (high - low) * jnp.concatenate([along[:, None], across[:, None], middle], axis=1)
+        return corners, jnp.argmin(jnp.linalg.norm(corners - here, axis=-1))
+
+    def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
+        """The next corner; the one after it once the agent is within reach of one step."""
+        corners, turn = memory
+        agent = self.problem.agent
+        reach = jnp.maximum(jnp.max(jnp.abs(agent.upper)) * self.problem.tau, self.standoff_m)
+        away = jnp.linalg.norm(corners[turn] - agent.space.position(observation.pose))
+        turn = jnp.where(away < reach, (turn + 1) % len(corners), turn)
+        return corners[turn], jnp.array(True), (corners, turn)
+
+
+METHODS = ("random", "still", "nearest", "uncertain", "lawnmower")
+
+
+def handmade(name: str, problem: Problem) -> Policy:
+    """The hand-made policy of that name; the standoff is half the depth of the view."""
+    depth = float(problem.sensor.view.depth)
+    standoff = 0.5 * depth if math.isfinite(depth) else 0.0
+    policies = {
+        "random": lambda: Random(problem),
+        "still": lambda: Still(problem),
+        "nearest": lambda: Nearest(problem, standoff),
+        "uncertain": lambda: Uncertain(problem, standoff),
+        "lawnmower": lambda: Lawnmower(problem, 0.0, LANES),
+    }
+    if name not in policies:
+        raise ValueError(f"method {name!r}: expected one of {', '.join(METHODS)}")
+    return policies[name]()
+
+
+LANES = 6

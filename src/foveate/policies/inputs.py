@@ -1,0 +1,36 @@
+"""What a learned policy is told: pose and predicted beliefs as numbers, in the agent's frame or in the world's."""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.geometry.space import Space
+from foveate.linalg import multiply, vech
+from foveate.problem import Observation
+
+Frame = Literal["body", "world"]
+
+
+def policy_inputs(
+    observation: Observation, space: Space, frame: Frame
+) -> tuple[Float[Array, " n_u"], Float[Array, "n features"]]:
+    """s = [log(T)^v, {p, vech(P)}] (paper, problem 6): numbers about the agent, and about each target.
+
+    In the world frame as the paper's text has it. In the body frame the pose is zero, and mean and information
+    matrix are turned into the agent's frame: the same decision wherever the world's origin lies. The state is
+    read as vectors of d numbers, the first of them the position.
+    """
+    mean, information = observation.mean, observation.information
+    if frame == "world":
+        return space.log(observation.pose), jnp.concatenate([mean, vech(information)], axis=-1)
+    d, size = space.dimension, mean.shape[-1]
+    position_body = space.to_body(observation.pose, mean[:, :d])
+    turn = space.rotation(observation.pose)
+    later_body = mean[:, d:].reshape(len(mean), size // d - 1, d) @ turn
+    mean_body = jnp.concatenate([position_body, later_body.reshape(len(mean), size - d)], axis=-1)
+    turns = jax.scipy.linalg.block_diag(*[turn] * (size // d))
+    information_body = multiply(multiply(turns.T, information), turns)
+    pose_body = jnp.zeros(space.twist_size, mean.dtype)
+    return pose_body, jnp.concatenate([mean_body, vech(information_body)], axis=-1)

@@ -1,0 +1,104 @@
+"""The records that a simulation is made of: the problem, one episode of it, what a policy sees, what happened."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.models.agent import Agent
+from foveate.models.sensor import Sensor
+from foveate.models.target import LinearGaussian
+from foveate.types import Action, Count, Information, Key, Pose, Scalar
+
+
+class Problem(eqx.Module):
+    """Who looks at what: agent, sensor, motion of the targets, control period tau [s], first information matrix."""
+
+    agent: Agent
+    sensor: Sensor
+    motion: LinearGaussian
+    tau: Scalar
+    prior_information: Information
+
+
+class Truth(eqx.Module):
+    """What really happens to the targets, whatever the agent does.
+
+    `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance.
+    """
+
+    state: Float[Array, "K+1 n n_y"]
+    measurement_noise: Float[Array, "K n n_z"]
+
+
+class Arrivals(eqx.Module):
+    """Targets that come and go: who is there at each instant, and the first mean of a belief that begins there."""
+
+    present: Bool[Array, "K+1 n"]
+    mean: Float[Array, "K+1 n n_y"]
+
+
+class Episode(eqx.Module):
+    """Everything that is fixed before the agent's first decision; the same for every method.
+
+    Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth`
+    the simulation is the noise-free one of training, in which the mean is never corrected.
+    """
+
+    pose: Pose
+    mean: Float[Array, "n n_y"]
+    present: Bool[Array, " n"]
+    inputs: Float[Array, "K n m_y"]
+    horizon: Count
+    truth: Truth | None = None
+    arrivals: Arrivals | None = None
+
+
+class Observation(eqx.Module):
+    """What a policy decides on at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
+
+    `known_input` is xi_k, the input that led to the prediction. Where `present` is false the entry is padding.
+    """
+
+    step: Count
+    pose: Pose
+    mean: Float[Array, "n n_y"]
+    information: Float[Array, "n n_y n_y"]
+    present: Bool[Array, " n"]
+    known_input: Float[Array, "n m_y"]
+
+
+class Policy(eqx.Module):
+    """Decides where to go next. `memory` is any pytree that a policy wants to keep from one step to the next."""
+
+    def start(self, observation: Observation) -> Any:
+        """The memory before the first decision; `observation` is the first one."""
+        del observation
+        return ()
+
+    @abc.abstractmethod
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """The normalised action in [-1, 1] for every actuated axis, and the memory for the next step."""
+
+
+class Trace(eqx.Module):
+    """What happened in one episode; entries after `horizon` steps are padding.
+
+    `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
+    """
+
+    pose: Float[Array, "K+1 ..."]
+    action: Float[Array, "K m"]
+    mean: Float[Array, "K+1 n n_y"]
+    information: Float[Array, "K+1 n n_y n_y"]
+    log_det: Float[Array, "K n"]
+    visible: Bool[Array, "K n"]
+    present: Bool[Array, "K+1 n"]
+
+
+def first_information(problem: Problem, targets: int) -> Float[Array, "n n_y n_y"]:
+    """Y_0 of every target."""
+    size = problem.motion.state_size
+    return jnp.broadcast_to(problem.prior_information, (targets, size, size))

@@ -1,0 +1,201 @@
+"""The one simulation that everybody uses: training, evaluation, planning, replay and the environment.
+
+One step k: predict p_{k+1}, P_{k+1}; decide u_k on them at T_k; move to T_{k+1}; the truth moves to y_{k+1};
+measure; update to mu_{k+1}, Y_{k+1}.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.linalg import log_det_spd
+from foveate.models import belief
+from foveate.models.belief import Belief
+from foveate.models.sensor import PAPER_SOFTNESS, Softness, detection_weight
+from foveate.problem import Episode, Observation, Policy, Problem, Trace, first_information
+from foveate.types import Action, Count, Key, Pose
+
+
+class Protocol(NamedTuple):
+    """Where information comes from.
+
+    With `levels`, it grows by the soft weight of each level at the predicted mean: one information matrix a level, of
+    which the policy sees the last. Without, it grows only with real measurements: the Kalman filter.
+    """
+
+    levels: tuple[Softness, ...]
+
+
+SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
+TRUE = Protocol(levels=())
+PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
+
+
+class State(eqx.Module):
+    """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one)."""
+
+    step: Count
+    pose: Pose
+    mean: Float[Array, "n n_y"]
+    information: Float[Array, "levels n n_y n_y"]
+    present: Bool[Array, " n"]
+
+
+class Instant(eqx.Module):
+    """The part of an episode that belongs to one step; None where the episode has no such part."""
+
+    known_input: Float[Array, "n m_y"]
+    truth: Float[Array, "n n_y"] | None
+    measurement_noise: Float[Array, "n n_z"] | None
+    present: Bool[Array, " n"] | None
+    first_mean: Float[Array, "n n_y"] | None
+
+
+def instants(episode: Episode) -> Instant:
+    """An episode cut into its steps: every array gets a leading axis of K."""
+    truth, arrivals = episode.truth, episode.arrivals
+    return Instant(
+        known_input=episode.inputs,
+        truth=None if truth is None else truth.state[1:],
+        measurement_noise=None if truth is None else truth.measurement_noise,
+        present=None if arrivals is None else arrivals.present[1:],
+        first_mean=None if arrivals is None else arrivals.mean[1:],
+    )
+
+
+def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
+    """The state before the first step."""
+    present = episode.present if episode.arrivals is None else episode.arrivals.present[0]
+    information = first_information(problem, episode.mean.shape[0])
+    levels = max(1, len(protocol.levels))
+    return State(
+        step=jnp.zeros((), int),
+        pose=episode.pose,
+        mean=episode.mean,
+        information=jnp.broadcast_to(information, (levels, *information.shape)),
+        present=present,
+    )
+
+
+def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) -> State:
+    """Every belief one step ahead; the pose is still T_k."""
+    ahead = jax.vmap(jax.vmap(belief.predict_information, (0, None)), (0, None))
+    return State(
+        step=state.step,
+        pose=state.pose,
+        mean=problem.motion.advance(state.mean, known_input),
+        information=ahead(state.information, problem.motion),
+        present=state.present,
+    )
+
+
+def observe(predicted: State, known_input: Float[Array, "n m_y"]) -> Observation:
+    """What a policy sees of a predicted state."""
+    return Observation(
+        step=predicted.step,
+        pose=predicted.pose,
+        mean=predicted.mean,
+        information=predicted.information[-1],
+        present=predicted.present,
+        known_input=known_input,
+    )
+
+
+def act(
+    problem: Problem, protocol: Protocol, predicted: State, instant: Instant, action: Action
+) -> tuple[State, Bool[Array, " n"]]:
+    """Move, measure and update; also says which targets were really measured."""
+    sensor, motion, space = problem.sensor, problem.motion, problem.agent.space
+    pose = problem.agent.move(predicted.pose, action, problem.tau)
+    rotation = space.rotation(pose)
+    point_body = space.to_body(pose, motion.position(predicted.mean))
+    covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, point_body)
+    gain = jax.vmap(sensor.information)(covariance)
+
+    mean = predicted.mean
+    visible = jnp.zeros(predicted.present.shape, bool)
+    if instant.truth is not None:
+        true_point_body = space.to_body(pose, motion.position(instant.truth))
+        visible = sensor.view.contains(true_point_body) & predicted.present
+        if instant.present is not None:
+            visible = visible & instant.present
+        true_covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, true_point_body)
+        noise = jnp.linalg.cholesky(true_covariance) @ instant.measurement_noise[..., None]
+        measurement = instant.truth @ sensor.H.T + noise[..., 0]
+        prediction = Belief(predicted.mean, predicted.information[-1])
+        corrected = jax.vmap(belief.correct_mean, (0, 0, None, 0))(
+            prediction, measurement, sensor.H, covariance
+        )
+        mean = jnp.where(visible[:, None], corrected, mean)
+
+    if protocol.levels:
+        distance = sensor.view.signed_distance(point_body)
+        weight = jnp.stack([detection_weight(distance, level) for level in protocol.levels])
+    else:
+        weight = visible.astype(mean.dtype)[None]
+    update = jax.vmap(jax.vmap(belief.update_information), (0, None, 0))
+    information = update(predicted.information, gain, weight)
+
+    present = predicted.present
+    if instant.present is not None:
+        begins = instant.present & ~predicted.present
+        mean = jnp.where(begins[:, None], instant.first_mean, mean)
+        information = jnp.where(begins[:, None, None], problem.prior_information, information)
+        present = instant.present
+    return State(predicted.step + 1, pose, mean, information, present), visible
+
+
+def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record):
+    """Run all steps; `record(state, action, visible)` says what to keep of each."""
+
+    def step(carry, instant):
+        state, memory = carry
+        predicted = predict(problem, state, instant.known_input)
+        observation = observe(predicted, instant.known_input)
+        action, memory = policy(observation, memory, jax.random.fold_in(key, state.step))
+        state, visible = act(problem, protocol, predicted, instant, action)
+        return (state, memory), record(state, action, visible)
+
+    steps = instants(episode)
+    first = start(problem, episode, protocol)
+    first_input = jax.tree.map(lambda x: x[0], steps.known_input)
+    memory = policy.start(observe(predict(problem, first, first_input), first_input))
+    return first, jax.lax.scan(step, (first, memory), steps)[1]
+
+
+def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Trace:
+    """One episode, with everything that happened."""
+
+    def record(state, action, visible):
+        return state.pose, action, state.mean, state.information[-1], visible, state.present
+
+    first, kept = _scan(problem, policy, episode, protocol, key, record)
+    pose, action, mean, information, visible, present = kept
+
+    def with_first(initial, later):
+        return jnp.concatenate([initial[None], later])
+
+    return Trace(
+        pose=with_first(first.pose, pose),
+        action=action,
+        mean=with_first(first.mean, mean),
+        information=with_first(first.information[-1], information),
+        log_det=log_det_spd(information),
+        visible=visible,
+        present=with_first(first.present, present),
+    )
+
+
+def log_dets(
+    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key
+) -> Float[Array, "K n"]:
+    """log det Y_k of every target after every step, the mean over the protocol's levels: what training differentiates."""
+
+    def record(state, action, visible):
+        del action, visible
+        return jnp.mean(log_det_spd(state.information), axis=0)
+
+    return _scan(problem, policy, episode, protocol, key, record)[1]

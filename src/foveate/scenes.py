@@ -1,0 +1,110 @@
+"""Scenes: where agent and targets start and how the targets drift. In memory and in files."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from foveate.files import read_json, write_json
+from foveate.geometry.space import Space
+from foveate.scenario import SceneSettings
+
+FORMAT = "foveate-scenes"
+VERSION = 1
+MAX_HORIZON = 100_000
+MAX_LENGTH = 1e9
+"""Larger lengths [m] have no digits left for the agent's view, in any precision."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One scene as in a scenes file. Lengths in metres, drift in m/s, one row a target."""
+
+    id: str
+    agent: tuple[float, ...]
+    targets: tuple[tuple[float, ...], ...]
+    drift: tuple[tuple[float, ...], ...]
+    horizon: int
+
+    @property
+    def motion(self) -> str:
+        """`unbiased` where every drift is 0, else `biased`."""
+        return "biased" if any(any(row) for row in self.drift) else "unbiased"
+
+
+def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
+    """Write a scenes file."""
+    rows = [
+        {"id": s.id, "agent": s.agent, "targets": s.targets, "drift": s.drift, "horizon": s.horizon}
+        for s in scenes
+    ]
+    write_json(path, {"format": FORMAT, "version": VERSION, "scenes": rows})
+
+
+def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
+    """Read a scenes file for an agent that lives in `space`; a missing horizon is the scenario's.
+
+    Raises ValueError in one line that names file, scene, field and what would be right.
+    """
+    data = read_json(path, "scenes file")
+    known = {"format", "version", "scenes"}
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ValueError(f'{path}: not a scenes file: expected "format": "{FORMAT}"')
+    if data.get("version") != VERSION:
+        raise ValueError(f"{path}: version {data.get('version')!r}: this foveate reads version {VERSION}")
+    if unknown := sorted(set(data) - known):
+        raise ValueError(f"{path}: unknown key {unknown[0]!r}: expected {', '.join(sorted(known))}")
+    rows = data.get("scenes")
+    if not isinstance(rows, list) or not rows:
+        raise ValueError(f"{path}: scenes: expected a list of at least one scene")
+    scenes = [_scene(row, f"{path}: scenes[{i}]", space, settings) for i, row in enumerate(rows)]
+    ids = [scene.id for scene in scenes]
+    if twice := [name for name in ids if ids.count(name) > 1]:
+        raise ValueError(f"{path}: id {twice[0]!r} is given twice: expected one scene an id")
+    return scenes
+
+
+def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene:
+    if not isinstance(row, dict):
+        raise ValueError(f"{where}: expected an object with id, agent, targets")
+    known = ("id", "agent", "targets", "drift", "horizon")
+    for name in known[:3]:
+        if name not in row:
+            raise ValueError(f"{where}: no {name!r}: expected id, agent and targets")
+    if unknown := sorted(set(row) - set(known)):
+        raise ValueError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(known)}")
+    if not isinstance(row["id"], str) or not row["id"]:
+        raise ValueError(f"{where}: id = {row['id']!r}: expected a non-empty text")
+    where = f"{where} ({row['id']!r})"
+    agent = _row(row["agent"], f"{where}: agent", None)
+    try:
+        space.from_numbers(agent)
+    except ValueError as error:
+        raise ValueError(f"{where}: agent = {list(agent)}: {error}") from None
+    targets = _rows(row["targets"], f"{where}: targets", space.dimension)
+    drift = ((0.0,) * space.dimension,) * len(targets)
+    if row.get("drift") is not None:
+        drift = _rows(row["drift"], f"{where}: drift", space.dimension)
+    if len(drift) != len(targets):
+        raise ValueError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one a target")
+    horizon = row.get("horizon", settings.horizon(len(targets)))
+    if isinstance(horizon, bool) or not isinstance(horizon, int) or not 1 <= horizon <= MAX_HORIZON:
+        raise ValueError(f"{where}: horizon = {horizon!r}: expected a whole number from 1 to {MAX_HORIZON}")
+    return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon)
+
+
+def _rows(value: Any, where: str, width: int) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(value, list):
+        raise ValueError(f"{where} = {value!r}: expected a list of rows of {width} numbers")
+    return tuple(_row(row, f"{where}[{i}]", width) for i, row in enumerate(value))
+
+
+def _row(value: Any, where: str, width: int | None) -> tuple[float, ...]:
+    fits = isinstance(value, list) and (width is None or len(value) == width)
+    if not fits or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in value):
+        wanted = "" if width is None else f"{width} "
+        raise ValueError(f"{where} = {value!r}: expected {wanted}numbers in a list")
+    if not all(math.isfinite(x) and abs(x) <= MAX_LENGTH for x in value):
+        raise ValueError(f"{where} = {value!r}: expected finite numbers up to {MAX_LENGTH:g}")
+    return tuple(float(x) for x in value)

@@ -1,0 +1,166 @@
+"""Files are written whole or not at all; reading errors are one line that names the file."""
+
+import math
+import os
+import threading
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foveate import files
+from foveate.files import read_bytes, read_json, write_atomic, write_json
+
+
+def test_write_replaces_the_old_content_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    write_atomic(path, b"old")
+    write_atomic(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert os.listdir(tmp_path) == ["result.json"]
+
+
+def test_write_gives_the_permissions_of_an_ordinary_file(tmp_path: Path) -> None:
+    (tmp_path / "ordinary").write_bytes(b"")
+    write_atomic(tmp_path / "atomic", b"")
+    assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+def test_failed_write_keeps_the_old_file_and_cleans_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    path = tmp_path / "result.json"
+    path.write_bytes(b"old")
+    monkeypatch.setattr(files.os, step, fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomic(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["result.json"]
+
+
+def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_return(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+    fsync, replace = os.fsync, os.replace
+
+    def log_fsync(handle: int) -> None:
+        seen.append("folder" if os.path.isdir(f"/dev/fd/{handle}") else "file")
+        fsync(handle)
+
+    def log_replace(source: Path, target: Path) -> None:
+        assert source.parent == target.parent == tmp_path
+        seen.append("replace")
+        replace(source, target)
+
+    monkeypatch.setattr(files.os, "fsync", log_fsync)
+    monkeypatch.setattr(files.os, "replace", log_replace)
+    write_atomic(tmp_path / "result.json", b"new")
+    assert seen == ["file", "replace", "folder"]
+
+
+def test_readers_never_see_a_part(tmp_path: Path) -> None:
+    path = tmp_path / "result"
+    contents = {letter * 100_000 for letter in (b"a", b"b")}
+    write_atomic(path, b"a" * 100_000)
+    writer = threading.Thread(
+        target=lambda: [write_atomic(path, data) for _ in range(10) for data in contents]
+    )
+    writer.start()
+    while writer.is_alive():
+        assert path.read_bytes() in contents
+    writer.join()
+
+
+def test_write_follows_a_link_and_leaves_devices_alone(tmp_path: Path) -> None:
+    (tmp_path / "target").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("target")
+    write_atomic(tmp_path / "link", b"new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "target").read_bytes() == b"new"
+    (tmp_path / "null").symlink_to(os.devnull)
+    write_atomic(tmp_path / "null", b"new")
+    assert (tmp_path / "null").is_char_device()
+
+
+def test_write_refuses_a_folder_and_a_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is a folder; name a file"):
+        write_atomic(tmp_path, b"")
+    with pytest.raises(ValueError, match=r"there is no folder .*absent"):
+        write_atomic(tmp_path / "absent" / "result.json", b"")
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=10,
+)
+
+
+@settings(deadline=None, max_examples=50)
+@given(value=json_values)
+def test_json_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, value: object) -> None:
+    path = tmp_path_factory.getbasetemp() / "value.json"
+    write_json(path, value)
+    assert read_json(path, "value") == value
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_json_refuses_numbers_that_are_not_finite(tmp_path: Path, number: float) -> None:
+    path = tmp_path / "rows.json"
+    with pytest.raises(ValueError, match=r"rows\.json: cannot be written: .*use null"):
+        write_json(path, {"rows": [{"score": number}]})
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "is empty or cut short"),
+        (b'{"format": "foveate-sc', "is empty or cut short"),
+        (b'{"scenes": [1, 2,', "is empty or cut short"),
+        (b"id,x,y\n1,2,3\n", "is not JSON .*line 1, column 1"),
+        (b'{"scenes": []} tail', "is not JSON .*line 1, column 16"),
+        (b'{"id": "\xff"}', "byte 8 is not UTF-8"),
+        (b'{"score": NaN}', "NaN is not JSON; use null"),
+        (b'{"score": -Infinity}', "-Infinity is not JSON; use null"),
+        (b'{"score": 1e999}', "the number 1e999 is too large"),
+        (b"9" * 5000, "is not a usable scenes file"),
+        (b"[" * 100_000, "is not a usable scenes file"),
+    ],
+)
+def test_json_error_says_what_is_wrong_and_what_was_wanted(
+    tmp_path: Path, content: bytes, problem: str
+) -> None:
+    path = tmp_path / "scenes.json"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"scenes\.json: .*{problem}") as caught:
+        read_json(path, "scenes file")
+    assert len(str(caught.value).splitlines()) == 1
+    assert "Error" not in str(caught.value)
+
+
+def test_json_may_start_with_a_byte_order_mark(tmp_path: Path) -> None:
+    (tmp_path / "scenes.json").write_bytes(b"\xef\xbb\xbf{}")
+    assert read_json(tmp_path / "scenes.json", "scenes file") == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("absent.json", "there is no such file; give the name of a scenes file"),
+        (".", "is a folder; give the name of a scenes file"),
+        ("nul\0.json", "cannot be read"),
+        ("two\nlines.json", "there is no such file"),
+        ("x" * 300, "cannot be read .*[Ff]ile name too long"),
+    ],
+)
+def test_unreadable_file_is_one_line(tmp_path: Path, name: str, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem) as caught:
+        read_bytes(tmp_path / name, "scenes file")
+    assert len(str(caught.value).splitlines()) == 1
