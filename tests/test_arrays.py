@@ -52,9 +52,7 @@ def refusal(path: Path, kind: str = "policy", newest: int = 2) -> str:
 @settings(deadline=None, max_examples=50)
 @given(
     arrays=st.dictionaries(
-        st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=5).filter(
-            lambda n: n != "header"
-        ),
+        st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=5).filter(lambda n: n != "header"),
         hnp.arrays(
             hnp.scalar_dtypes().filter(lambda dtype: np.dtype(dtype.str) == dtype),
             hnp.array_shapes(min_dims=0, min_side=0, max_side=3),
@@ -155,9 +153,7 @@ def test_a_header_that_is_no_table_is_refused(tmp_path: Path, text: bytes) -> No
 
 @pytest.mark.parametrize("version", [0, "2", True, None, 1.0])
 def test_a_version_that_is_no_whole_number_is_refused(tmp_path: Path, version: Any) -> None:
-    text = (
-        f'{{"format": "foveate-policy", "version": {"null" if version is None else repr(version).lower()}}}'
-    )
+    text = f'{{"format": "foveate-policy", "version": {"null" if version is None else repr(version).lower()}}}'
     np.savez(tmp_path / "odd.npz", header=np.frombuffer(text.replace("'", '"').encode(), np.uint8))
     assert "wanted a whole number from 1 to 2" in refusal(tmp_path / "odd.npz")
     with pytest.raises(ValueError, match="wanted a whole number of 1 or more"):

@@ -68,9 +68,7 @@ def test_readers_never_see_a_part(tmp_path: Path) -> None:
     path = tmp_path / "result"
     contents = {letter * 100_000 for letter in (b"a", b"b")}
     write_atomic(path, b"a" * 100_000)
-    writer = threading.Thread(
-        target=lambda: [write_atomic(path, data) for _ in range(10) for data in contents]
-    )
+    writer = threading.Thread(target=lambda: [write_atomic(path, data) for _ in range(10) for data in contents])
     writer.start()
     while writer.is_alive():
         assert path.read_bytes() in contents
@@ -134,9 +132,7 @@ def test_json_refuses_numbers_that_are_not_finite(tmp_path: Path, number: float)
         (b"[" * 100_000, "is not a usable scenes file"),
     ],
 )
-def test_json_error_says_what_is_wrong_and_what_was_wanted(
-    tmp_path: Path, content: bytes, problem: str
-) -> None:
+def test_json_error_says_what_is_wrong_and_what_was_wanted(tmp_path: Path, content: bytes, problem: str) -> None:
     path = tmp_path / "scenes.json"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=rf"scenes\.json: .*{problem}") as caught:

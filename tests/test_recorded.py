@@ -22,9 +22,7 @@ TRACKS = Path(__file__).resolve().parents[1] / ".." / "shared" / "tracks"
 
 
 def track(times, positions, track_id="a") -> Track:
-    return Track(
-        track_id=track_id, times_s=np.asarray(times, float), positions_m=np.asarray(positions, float)
-    )
+    return Track(track_id=track_id, times_s=np.asarray(times, float), positions_m=np.asarray(positions, float))
 
 
 def recording(*tracks: Track) -> Recording:
@@ -48,9 +46,7 @@ def write(tmp_path, content: str | bytes) -> Path:
 
 
 def test_reads_planar_and_spatial_files(tmp_path):
-    path = write(
-        tmp_path, "\ufeff" + HEADER + '0.0,07,1,2\r\n0.5,7,-1e1,4\r\n\r\n1.0, 07 ,3,4\r\n1.0,"a,b",0,0\r\n'
-    )
+    path = write(tmp_path, "\ufeff" + HEADER + '0.0,07,1,2\r\n0.5,7,-1e1,4\r\n\r\n1.0, 07 ,3,4\r\n1.0,"a,b",0,0\r\n')
     planar = load_recording(path)
     assert planar.dimension == 2
     assert planar.name == str(path)
@@ -136,9 +132,7 @@ def test_bad_paths_are_told_in_one_line(tmp_path):
 
 
 def test_window_keeps_the_fixes_inside_and_drops_empty_tracks():
-    whole = recording(
-        track([0, 1, 2, 3], np.arange(8).reshape(4, 2)), track([0, 0.5], np.zeros((2, 2)), "early")
-    )
+    whole = recording(track([0, 1, 2, 3], np.arange(8).reshape(4, 2)), track([0, 0.5], np.zeros((2, 2)), "early"))
     cut = window(whole, 1.0, 2.5)
     assert [t.track_id for t in cut.tracks] == ["a"]
     np.testing.assert_array_equal(cut.tracks[0].times_s, [1.0, 2.0])
@@ -204,9 +198,7 @@ def test_single_fixes_are_present_only_where_they_coincide():
 def test_sampling_refuses_what_makes_no_sense():
     short = recording(track([0.0, 1.0], np.zeros((2, 2))))
     for tau_s in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(
-            ValueError, match=r"^tau_s is .*; it must be a positive, finite number of seconds$"
-        ):
+        with pytest.raises(ValueError, match=r"^tau_s is .*; it must be a positive, finite number of seconds$"):
             resample(short, tau_s)
     for max_gap_s in (0.0, float("nan")):
         with pytest.raises(ValueError, match=r"^max_gap_s is .*; it must be a positive"):
@@ -422,9 +414,7 @@ def test_no_motion_without_two_fixes_and_no_turn_without_three():
         ("drones3d_uzh_fpv", 6, 67, 4.6, 9.5, 2, 6, (22, 16, 3.5)),
     ],
 )
-def test_real_recordings_match_their_description(
-    name, tracks, span_s, median_m_s, p95_m_s, at_once, at_most, extent_m
-):
+def test_real_recordings_match_their_description(name, tracks, span_s, median_m_s, p95_m_s, at_once, at_most, extent_m):
     path = TRACKS / f"{name}.csv"
     if not path.exists():
         pytest.skip(f"the sample recordings are not here: {path}")

@@ -44,18 +44,14 @@ def load_tree(path: Path, like: T, kind: str) -> tuple[T, dict[str, Any]]:
     if missing := sorted(set(wanted) - set(arrays)):
         raise ValueError(f"{path}: no array {missing[0]!r}: this checkpoint is of another network")
     if extra := sorted(set(arrays) - set(wanted)):
-        raise ValueError(
-            f"{path}: array {extra[0]!r} has no place here: this checkpoint is of another network"
-        )
+        raise ValueError(f"{path}: array {extra[0]!r} has no place here: this checkpoint is of another network")
     for name, array in wanted.items():
         if arrays[name].shape != array.shape:
             raise ValueError(
                 f"{path}: {name} has shape {arrays[name].shape}: expected {array.shape}, as config.toml says"
             )
     dynamic, static = eqx.partition(like, eqx.is_array)
-    leaves = [
-        _restored(arrays[name], old) for name, old in zip(wanted, jax.tree.leaves(dynamic), strict=True)
-    ]
+    leaves = [_restored(arrays[name], old) for name, old in zip(wanted, jax.tree.leaves(dynamic), strict=True)]
     return eqx.combine(jax.tree.unflatten(jax.tree.structure(dynamic), leaves), static), header["facts"]
 
 

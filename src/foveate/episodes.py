@@ -107,10 +107,13 @@ def episode_of(
     known = inputs if settings.known_drift else jnp.zeros_like(inputs)
     truth = None
     if with_truth:
-        pushes = noise.process @ _root(motion.W).T
-        states = jax.lax.scan(
-            lambda y, step: (motion.advance(y, step[0]) + step[1],) * 2, first, (inputs, pushes)
-        )[1]
+        pushes = noise.process @ _root(motion.W).T * settings.process_noise
+
+        def move(state, step):
+            after = motion.advance(state, step[0]) + step[1]
+            return after, after
+
+        states = jax.lax.scan(move, first, (inputs, pushes))[1]
         truth = Truth(state=jnp.concatenate([first[None], states]), measurement_noise=noise.measurement)
     return Episode(
         pose=scene.pose,
@@ -122,9 +125,7 @@ def episode_of(
     )
 
 
-def first_error(
-    problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]
-) -> Float[Array, "*b n_y"]:
+def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]) -> Float[Array, "*b n_y"]:
     """By how much the first mean is off: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
     if settings.initial_error == "consistent":
         return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
@@ -201,9 +202,7 @@ def scene_episodes(
     return jax.jit(jax.vmap(lambda s, e: episode_of(problem, settings, s, e)))(stacked, Noise(**as_float))
 
 
-def suite(
-    settings: SceneSettings, problem: Problem, seed: int, targets: int, count: int, biased: bool
-) -> list[Scene]:
+def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, count: int, biased: bool) -> list[Scene]:
     """`count` test scenes with that many targets from the distribution of `settings`, with its drift or without."""
     cell = replace(settings, targets_min=targets, targets_max=targets)
     if not biased:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Int
 
 from foveate.episodes import scene_episodes
 from foveate.models.belief import entropy
-from foveate.problem import Episode, Policy, Problem, Trace
+from foveate.problem import Episode, Policy, Problem, Trace, Truth
 from foveate.rollout import PROTOCOLS, Protocol, observe, predict, rollout, start
 from foveate.scenario import SceneSettings
 from foveate.scenes import Scene
@@ -83,6 +84,7 @@ class Suite:
     episodes_per_scene: int
     seed: int
     episodes: Episode
+    truth: Truth
 
 
 def prepare(
@@ -90,8 +92,9 @@ def prepare(
 ) -> Suite:
     """Draw the chance of `episodes` runs of every scene from (seed, scene id, episode)."""
     drawn = scene_episodes(problem, settings, scenes, seed, episodes)
+    assert drawn.truth is not None, "scene_episodes always draws the truth"
     return Suite(
-        problem=problem, scenes=tuple(scenes), episodes_per_scene=episodes, seed=seed, episodes=drawn
+        problem=problem, scenes=tuple(scenes), episodes_per_scene=episodes, seed=seed, episodes=drawn, truth=drawn.truth
     )
 
 
@@ -107,9 +110,7 @@ def simulate(suite: Suite, policy: Policy, protocol: Protocol) -> Trace:
     parts = []
     for first in range(0, count, CHUNK):
         rows = np.minimum(np.arange(first, first + CHUNK), count - 1)
-        trace = _run(
-            suite.problem, policy, jax.tree.map(lambda x, r=rows: x[r], suite.episodes), protocol, keys[rows]
-        )
+        trace = _run(suite.problem, policy, jax.tree.map(lambda x, r=rows: x[r], suite.episodes), protocol, keys[rows])
         parts.append(jax.tree.map(lambda x, n=count - first: np.asarray(x)[:n], trace))
     return jax.tree.map(lambda *pieces: np.concatenate(pieces), *parts)
 
@@ -138,7 +139,7 @@ def decision_time(problem: Problem, policy: Policy, episode: Episode, repeats: i
 def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]) -> list[Row]:
     """Run a policy on a suite under each protocol: one row an episode."""
     step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
-    truth = np.asarray(suite.episodes.truth.state)
+    truth = np.asarray(suite.truth.state)
     rows = []
     for protocol in protocols:
         trace = simulate(suite, policy, PROTOCOLS[protocol])
@@ -161,19 +162,17 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
     return rows
 
 
-def _measures(problem: Problem, trace: Trace, truth: np.ndarray, scene: Scene) -> dict[str, float | None]:
+def _measures(problem: Problem, trace: Trace, truth: np.ndarray, scene: Scene) -> dict[str, Any]:
     n, K, n_y = len(scene.targets), scene.horizon, problem.motion.state_size
     if n == 0:
-        nothing = dict.fromkeys(
-            ("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0
-        )
+        nothing = dict.fromkeys(("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0)
         return {"score": None, "entropy": None, **nothing}
-    visible, log_det = trace.visible[:K, :n], trace.log_det[K - 1, :n].astype(float)
+    visible, log_det = np.asarray(trace.visible[:K, :n]), np.asarray(trace.log_det[K - 1, :n], float)
     error = (trace.mean[K, :n] - truth[K, :n]).astype(float)
     position_error = error @ np.asarray(problem.motion.Z, float).T
     return {
         "score": float(log_det.mean()),
-        "entropy": float(entropy(log_det, n_y).mean()),
+        "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))),
         "seen_fraction": float(visible.any(axis=0).mean()),
         "seen_step_fraction": float(visible.mean()),
         "longest_unseen_s": float(longest_run(~visible).max() * problem.tau),
@@ -205,27 +204,26 @@ def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
     for row in rows:
         if row.score is not None:
             cells.setdefault((row.method, row.protocol, row.motion, row.targets), []).append(row)
-    return [_summary(*cell, group, state_size) for cell, group in cells.items()]
+    return [_summary(group, state_size) for group in cells.values()]
 
 
-def _summary(
-    method: str, protocol: str, motion: str, targets: int, rows: Sequence[Row], state_size: int
-) -> Summary:
+def _summary(rows: Sequence[Row], state_size: int) -> Summary:
     def mean(name: str) -> float:
         return float(np.mean([getattr(row, name) for row in rows]))
 
-    scores = np.array([row.score for row in rows])
+    scores = np.array([row.score for row in rows], float)
+    first = rows[0]
     by_scene: dict[str, list[float]] = {}
-    for row in rows:
-        by_scene.setdefault(row.scene, []).append(row.score)
+    for row, score in zip(rows, scores, strict=True):
+        by_scene.setdefault(row.scene, []).append(score)
     # Episodes of one scene share its layout, so the scene is the unit that is independent.
     means = np.array([np.mean(values) for values in by_scene.values()])
     half = Z95 * means.std(ddof=1) / math.sqrt(len(means)) if len(means) > 1 else 0.0
     return Summary(
-        method=method,
-        protocol=protocol,
-        motion=motion,
-        targets=targets,
+        method=first.method,
+        protocol=first.protocol,
+        motion=first.motion,
+        targets=first.targets,
         mean=float(scores.mean()),
         std=float(scores.std(ddof=1)) if len(scores) > 1 else 0.0,
         ci95=(float(means.mean() - half), float(means.mean() + half)),
@@ -233,7 +231,7 @@ def _summary(
         seen_step_fraction=mean("seen_step_fraction"),
         rmse_m=mean("rmse_m"),
         nees=mean("nees"),
-        nees_band=chi_square_band(state_size, targets * len(rows)),
+        nees_band=chi_square_band(state_size, first.targets * len(rows)),
         episodes=len(rows),
     )
 

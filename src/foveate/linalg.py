@@ -57,8 +57,7 @@ def inverse_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
     for i in range(size):
         for j in range(i + 1):
             terms = [
-                (root[k][i] if k > i else 1.0) * (root[k][j] if k > j else 1.0) / pivots[k]
-                for k in range(i, size)
+                (root[k][i] if k > i else 1.0) * (root[k][j] if k > j else 1.0) / pivots[k] for k in range(i, size)
             ]
             rows[i][j] = rows[j][i] = sum(terms[1:], start=terms[0])
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
@@ -83,6 +82,19 @@ def log_det_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b"]:
 @log_det_spd.defjvp
 def _log_det_spd_jvp(primals: tuple, tangents: tuple) -> tuple:
     return log_det_spd(*primals), jnp.sum(inverse_spd(*primals) * tangents[0], axis=(-2, -1))
+
+
+def cholesky_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
+    """The lower triangular R with R R^T = M, for a symmetric positive definite M."""
+    size = matrix.shape[-1]
+    if size > UNROLLED:
+        return jnp.linalg.cholesky(matrix, symmetrize_input=False)
+    lower, pivots = _pivots(matrix)
+    roots = [jnp.sqrt(pivot) for pivot in pivots]
+    zero, one = jnp.zeros_like(pivots[0]), jnp.ones_like(pivots[0])
+    entries = [[lower[i][j] if j < i else (one if j == i else zero) for j in range(size)] for i in range(size)]
+    rows = [jnp.stack([entries[i][j] * roots[j] for j in range(size)], axis=-1) for i in range(size)]
+    return jnp.stack(rows, axis=-2)
 
 
 def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Array, "*d n k"]:

@@ -73,6 +73,27 @@ class MotionStatistics:
     spikes: int
     trimmed_fraction: float
 
+    def lines(self) -> list[str]:
+        """What a person wants to know of it, a line each."""
+        lower, upper = self.robust_lower_m, self.robust_upper_m
+        walk = np.sqrt(np.diag(self.walk_covariance_m2))
+        found = [
+            f"{self.tracks} tracks in {self.span_s:.0f} s; at once {self.at_once_min} to {self.at_once_max}, "
+            f"median {self.at_once_median:g}",
+            "extent "
+            + " x ".join(f"{a:.1f}..{b:.1f}" for a, b in zip(lower, upper, strict=True))
+            + " m (98 % of fixes)",
+            f"speed median {self.speed_median_m_s:.2f}, 95th percentile {self.speed_p95_m_s:.2f} m/s",
+            f"random walk: {' x '.join(f'{x:.2f}' for x in walk)} m (std) per step of {self.tau_s:g} s",
+        ]
+        if self.acceleration_intensity is not None and self.persistence is not None:
+            q = np.diag(self.acceleration_intensity)
+            found.append(
+                f"constant velocity (estimate): q = {' x '.join(f'{x:.3g}' for x in q)} m^2/s^3, "
+                f"persistence of direction {self.persistence:.2f}"
+            )
+        return found
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Velocities:

@@ -29,15 +29,15 @@ class Truth(eqx.Module):
     `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance.
     """
 
-    state: Float[Array, "K+1 n n_y"]
+    state: Float[Array, "instants n n_y"]
     measurement_noise: Float[Array, "K n n_z"]
 
 
 class Arrivals(eqx.Module):
     """Targets that come and go: who is there at each instant, and the first mean of a belief that begins there."""
 
-    present: Bool[Array, "K+1 n"]
-    mean: Float[Array, "K+1 n n_y"]
+    present: Bool[Array, "instants n"]
+    mean: Float[Array, "instants n n_y"]
 
 
 class Episode(eqx.Module):
@@ -89,13 +89,13 @@ class Trace(eqx.Module):
     `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
     """
 
-    pose: Float[Array, "K+1 ..."]
+    pose: Float[Array, "instants ..."]
     action: Float[Array, "K m"]
-    mean: Float[Array, "K+1 n n_y"]
-    information: Float[Array, "K+1 n n_y n_y"]
+    mean: Float[Array, "instants n n_y"]
+    information: Float[Array, "instants n n_y n_y"]
     log_det: Float[Array, "K n"]
     visible: Bool[Array, "K n"]
-    present: Bool[Array, "K+1 n"]
+    present: Bool[Array, "instants n"]
 
 
 def first_information(problem: Problem, targets: int) -> Float[Array, "n n_y n_y"]:

@@ -155,9 +155,7 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
         raise ValueError(f"{path}: line {line}: {error}{expected}") from None
     if not times:
         raise ValueError(f"{path}: line {line}: no rows; at least one row must follow the header")
-    tracks = _group(
-        np.asarray(times), np.asarray(points).reshape(-1, dimension), np.asarray(owners), index_of
-    )
+    tracks = _group(np.asarray(times), np.asarray(points).reshape(-1, dimension), np.asarray(owners), index_of)
     return Recording(name=str(path), dimension=dimension, tracks=tracks)
 
 
@@ -166,9 +164,7 @@ def _lines(file: BinaryIO) -> Iterator[str]:
     encoding = "utf-8-sig"
     while raw := file.readline(MAX_LINE_BYTES + 1):
         if len(raw) > MAX_LINE_BYTES:
-            raise ValueError(
-                f"longer than {MAX_LINE_BYTES} bytes; a row is a time, a track id and a position"
-            )
+            raise ValueError(f"longer than {MAX_LINE_BYTES} bytes; a row is a time, a track id and a position")
         try:
             yield raw.decode(encoding)
         except UnicodeDecodeError as error:
@@ -215,9 +211,7 @@ def _number(text: str, column: str) -> float:
 
 def _checked_id(track_id: str) -> str:
     if not track_id or not track_id.isprintable():
-        raise ValueError(
-            f"track_id is {_shown(track_id)}; it must be a name or number of printable characters"
-        )
+        raise ValueError(f"track_id is {_shown(track_id)}; it must be a name or number of printable characters")
     return track_id
 
 
@@ -225,9 +219,7 @@ def _shown(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
-def _group(
-    times: np.ndarray, points: np.ndarray, owners: np.ndarray, ids: dict[str, int]
-) -> tuple[Track, ...]:
+def _group(times: np.ndarray, points: np.ndarray, owners: np.ndarray, ids: dict[str, int]) -> tuple[Track, ...]:
     order = np.argsort(owners, kind="stable")  # stable: the fixes of a track stay sorted by time
     times, points = times[order], points[order]
     times.setflags(write=False)
@@ -323,9 +315,7 @@ def _sampled_tracks(
     start_s, span_s = recording.start_s, recording.end_s - recording.start_s
     steps = floor(span_s / tau_s + 1e-6)  # the tolerance keeps an end that falls on an instant
     if steps < 1:
-        raise ValueError(
-            f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least"
-        )
+        raise ValueError(f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least")
     _check_size(steps + 1, 1)
     times = start_s + tau_s * np.arange(steps + 1)
     pieces = [_sample(track, times, tau_s, max_gap_s) for track in recording.tracks]
@@ -359,9 +349,7 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
     return _Piece(first, bridged | on_fix, start + fraction * (end - start))
 
 
-def _pack(
-    pieces: Sequence[_Piece], times: np.ndarray, dimension: int, ids: tuple[str, ...], dropped: int
-) -> Slots:
+def _pack(pieces: Sequence[_Piece], times: np.ndarray, dimension: int, ids: tuple[str, ...], dropped: int) -> Slots:
     lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
     column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
     _check_size(len(times), columns)

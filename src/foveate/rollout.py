@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from foveate.linalg import log_det_spd
+from foveate.linalg import cholesky_spd, log_det_spd, multiply
 from foveate.models import belief
 from foveate.models.belief import Belief
 from foveate.models.sensor import PAPER_SOFTNESS, Softness, detection_weight
@@ -44,25 +44,39 @@ class State(eqx.Module):
     present: Bool[Array, " n"]
 
 
+class Reality(eqx.Module):
+    """Where the targets really are after a step, and the standard normals of its measurements."""
+
+    state: Float[Array, "n n_y"]
+    noise: Float[Array, "n n_z"]
+
+
+class Arrival(eqx.Module):
+    """Who is there after a step, and the first mean of a belief that begins there."""
+
+    present: Bool[Array, " n"]
+    mean: Float[Array, "n n_y"]
+
+
 class Instant(eqx.Module):
     """The part of an episode that belongs to one step; None where the episode has no such part."""
 
     known_input: Float[Array, "n m_y"]
-    truth: Float[Array, "n n_y"] | None
-    measurement_noise: Float[Array, "n n_z"] | None
-    present: Bool[Array, " n"] | None
-    first_mean: Float[Array, "n n_y"] | None
+    reality: Reality | None
+    arrival: Arrival | None
 
 
 def instants(episode: Episode) -> Instant:
     """An episode cut into its steps: every array gets a leading axis of K."""
     truth, arrivals = episode.truth, episode.arrivals
+
+    def cut(make, *arrays):
+        return jax.vmap(make)(*arrays)
+
     return Instant(
         known_input=episode.inputs,
-        truth=None if truth is None else truth.state[1:],
-        measurement_noise=None if truth is None else truth.measurement_noise,
-        present=None if arrivals is None else arrivals.present[1:],
-        first_mean=None if arrivals is None else arrivals.mean[1:],
+        reality=None if truth is None else cut(Reality, truth.state[1:], truth.measurement_noise),
+        arrival=None if arrivals is None else cut(Arrival, arrivals.present[1:], arrivals.mean[1:]),
     )
 
 
@@ -117,18 +131,16 @@ def act(
 
     mean = predicted.mean
     visible = jnp.zeros(predicted.present.shape, bool)
-    if instant.truth is not None:
-        true_point_body = space.to_body(pose, motion.position(instant.truth))
+    if (reality := instant.reality) is not None:
+        true_point_body = space.to_body(pose, motion.position(reality.state))
         visible = sensor.view.contains(true_point_body) & predicted.present
-        if instant.present is not None:
-            visible = visible & instant.present
+        if instant.arrival is not None:
+            visible = visible & instant.arrival.present
         true_covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, true_point_body)
-        noise = jnp.linalg.cholesky(true_covariance) @ instant.measurement_noise[..., None]
-        measurement = instant.truth @ sensor.H.T + noise[..., 0]
+        noise = multiply(cholesky_spd(true_covariance), reality.noise[..., None])
+        measurement = reality.state @ sensor.H.T + noise[..., 0]
         prediction = Belief(predicted.mean, predicted.information[-1])
-        corrected = jax.vmap(belief.correct_mean, (0, 0, None, 0))(
-            prediction, measurement, sensor.H, covariance
-        )
+        corrected = jax.vmap(belief.correct_mean, (0, 0, None, 0))(prediction, measurement, sensor.H, covariance)
         mean = jnp.where(visible[:, None], corrected, mean)
 
     if protocol.levels:
@@ -140,11 +152,11 @@ def act(
     information = update(predicted.information, gain, weight)
 
     present = predicted.present
-    if instant.present is not None:
-        begins = instant.present & ~predicted.present
-        mean = jnp.where(begins[:, None], instant.first_mean, mean)
+    if (arrival := instant.arrival) is not None:
+        begins = arrival.present & ~predicted.present
+        mean = jnp.where(begins[:, None], arrival.mean, mean)
         information = jnp.where(begins[:, None, None], problem.prior_information, information)
-        present = instant.present
+        present = arrival.present
     return State(predicted.step + 1, pose, mean, information, present), visible
 
 
@@ -189,10 +201,8 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
     )
 
 
-def log_dets(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key
-) -> Float[Array, "K n"]:
-    """log det Y_k of every target after every step, the mean over the protocol's levels: what training differentiates."""
+def log_dets(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
+    """log det Y_k of every target after every step, the mean over the levels: what training differentiates."""
 
     def record(state, action, visible):
         del action, visible

@@ -1,4 +1,4 @@
-"""The world of an experiment as plain, checked settings: agent, view, sensor, targets and the scenes they are drawn from.
+"""The world of an experiment as plain, checked settings: agent, view, sensor, targets, and how scenes are drawn.
 
 `Scenario` is what the `[scenario]` table of a configuration file holds; `Scenario.problem()` turns it into arrays.
 """
@@ -42,9 +42,7 @@ def _covariance(value: Matrix, name: str, size: int, definite: bool) -> np.ndarr
     _require(bool(np.abs(matrix - matrix.T).max() <= 1e-9 * scale), name, value, "a covariance is symmetric")
     smallest = np.linalg.eigvalsh(matrix).min()
     if definite:
-        _require(
-            bool(smallest > 1e-12 * scale), name, value, "expected positive definite (all eigenvalues > 0)"
-        )
+        _require(bool(smallest > 1e-12 * scale), name, value, "expected positive definite (all eigenvalues > 0)")
     else:
         _require(bool(smallest >= -1e-12 * scale), name, value, "a covariance has no negative eigenvalue")
     return matrix
@@ -178,9 +176,7 @@ class DriftTarget:
 
     def __post_init__(self) -> None:
         _require(self.process_std_m >= 0, "process_std_m", self.process_std_m, "expected >= 0")
-        _require(
-            self.initial_variance_m2 > 0, "initial_variance_m2", self.initial_variance_m2, "expected > 0"
-        )
+        _require(self.initial_variance_m2 > 0, "initial_variance_m2", self.initial_variance_m2, "expected > 0")
         if self.W is not None:
             _covariance(self.W, "W", len(self.W), definite=False)
 
@@ -188,11 +184,7 @@ class DriftTarget:
         """A, B, W, Z."""
         del tau_s
         eye = np.eye(dimension)
-        W = (
-            self.process_std_m**2 * eye
-            if self.W is None
-            else _covariance(self.W, "W", dimension, definite=False)
-        )
+        W = self.process_std_m**2 * eye if self.W is None else _covariance(self.W, "W", dimension, definite=False)
         return eye, eye, W, eye
 
     def prior_covariance(self, dimension: int) -> np.ndarray:
@@ -243,7 +235,8 @@ class SceneSettings:
     `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
     `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
     [-drift_m_s, drift_m_s] per axis, one for all targets of a scene (`shared_drift`) or each its own, plus
-    [-jitter_m_s, jitter_m_s] anew at each step; `known_drift` says whether the agent is told (the paper: yes).
+    [-jitter_m_s, jitter_m_s] anew at each step; `known_drift` says whether the agent is told (the paper: yes), and
+    `process_noise` whether the targets are pushed by N(0, W) as well.
     Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V) ("paper": claims more than it errs) or
     drawn from the first belief ("consistent").
     """
@@ -258,6 +251,7 @@ class SceneSettings:
     drift_m_s: float = 0.8
     shared_drift: bool = True
     known_drift: bool = True
+    process_noise: bool = True
     jitter_m_s: float = 0.5
     steps_per_target: int = 3
     steps: int | None = None
@@ -275,9 +269,7 @@ class SceneSettings:
             "jitter_m_s",
         ):
             _require(getattr(self, name) >= 0, name, getattr(self, name), "expected >= 0")
-        _require(
-            min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis"
-        )
+        _require(min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis")
         right = "expected one number per axis, as many as half_side_m"
         _require(len(self.centre_m) == len(self.half_side_m), "centre_m", self.centre_m, right)
         _require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
@@ -304,24 +296,18 @@ class Scenario:
         d = self.agent.dimension
         right = f"expected a shape in {d} dimensions, as the agent's"
         _require(self.view.dimension == d, "view.shape", self.view.shape, right)
-        _require(
-            len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers"
-        )
+        _require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
         A, _, _, Z = self.target.motion(d, self.tau_s)
         H = self._observation(Z)
         if H.shape[1] != len(A):
-            raise ValueError(
-                f"sensor.H has {H.shape[1]} columns: expected {len(A)}, the length of a target's state"
-            )
+            raise ValueError(f"sensor.H has {H.shape[1]} columns: expected {len(A)}, the length of a target's state")
         size = 1 if self.sensor.V is None else len(self.sensor.V)
         if self.sensor.V is not None and size != H.shape[0]:
             raise ValueError(
                 f"sensor.V is {size} x {size}: expected {H.shape[0]} x {H.shape[0]}, one row per measurement"
             )
         if self.sensor.frame == "body" and H.shape[0] != d:
-            raise ValueError(
-                f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}"
-            )
+            raise ValueError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
         return Z if self.sensor.H is None else _matrix(self.sensor.H, "sensor.H", (None, None))

@@ -36,8 +36,7 @@ class Scene:
 def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
     """Write a scenes file."""
     rows = [
-        {"id": s.id, "agent": s.agent, "targets": s.targets, "drift": s.drift, "horizon": s.horizon}
-        for s in scenes
+        {"id": s.id, "agent": s.agent, "targets": s.targets, "drift": s.drift, "horizon": s.horizon} for s in scenes
     ]
     write_json(path, {"format": FORMAT, "version": VERSION, "scenes": rows})
 

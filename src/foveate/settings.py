@@ -18,7 +18,7 @@ class TrainingSettings:
     objective is the mean over levels, and the policy sees the last. `objective` is log det at the horizon
     ("terminal", the paper) or its mean over the steps. With `noise`, targets move and measurements are as in
     the real world, and means are corrected; without (the paper), the mean is the truth. Every
-    `check_every` epochs the policy is judged on `held_out` scenes that never train it, by the score of protocol `select`.
+    `check_every` epochs the policy is judged on `held_out` scenes that never train it, by the score of `select`.
     """
 
     epochs: int = 1000
@@ -26,7 +26,7 @@ class TrainingSettings:
     learning_rate: float = 3e-4
     schedule: Literal["constant", "cosine"] = "constant"
     gradient_bound: float = 10.0
-    softness: tuple[tuple[float, float], ...] = (tuple(PAPER_SOFTNESS),)
+    softness: tuple[tuple[float, float], ...] = ((PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa),)
     objective: Literal["terminal", "mean"] = "terminal"
     noise: bool = False
     select: Literal["surrogate", "true"] = "surrogate"
@@ -41,9 +41,7 @@ class TrainingSettings:
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} = {getattr(self, name)}: expected > 0")
         if not self.softness or min(kappa for _, kappa in self.softness) <= 0:
-            raise ValueError(
-                f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0"
-            )
+            raise ValueError(f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0")
 
     @property
     def protocol(self) -> Protocol:
@@ -63,8 +61,6 @@ class Experiment:
 PRESETS = {
     "paper": Experiment(),
     "best": Experiment(
-        training=TrainingSettings(
-            epochs=3000, episodes=256, learning_rate=1e-3, schedule="cosine", check_every=100
-        ),
+        training=TrainingSettings(epochs=3000, episodes=256, learning_rate=1e-3, schedule="cosine", check_every=100),
     ),
 }

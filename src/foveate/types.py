@@ -5,6 +5,7 @@ Axis names used in shape annotations
     n     targets of one scene
     n_y   state of one target, n_z its measurement, m_y its known input
     K     steps of an episode (K updates of the belief, none at k = 0)
+    instants  K + 1: the start and the end of every step
     m     actuated axes of the agent, the length of an action
     n_u   length of a twist: 3 in the plane, 6 in space
 

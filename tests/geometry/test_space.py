@@ -19,9 +19,7 @@ BOTH = pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
 def matrix(name, numbers):
     """The homogeneous transform of a file's numbers, 3 x 3 or 4 x 4."""
     d = {"planar": 2, "spatial": 3}[name]
-    turn = (
-        Rotation.from_euler("z", numbers[2]) if d == 2 else Rotation.from_quat(numbers[3:], scalar_first=True)
-    )
+    turn = Rotation.from_euler("z", numbers[2]) if d == 2 else Rotation.from_quat(numbers[3:], scalar_first=True)
     result = np.eye(d + 1)
     result[:d, :d] = turn.as_matrix()[:d, :d]
     result[:d, d] = numbers[:d]
@@ -47,9 +45,9 @@ def test_sizes():
         assert (space.name, space.dimension, space.twist_size) == (name, d, n_u)
         assert space.axes == tuple(axes.split())
         pose = space.identity()
-        assert space.position(pose).shape == (d,)
-        assert space.rotation(pose).shape == (d, d)
-        assert space.log(pose).shape == (n_u,)
+        assert jax.eval_shape(space.position, pose).shape == (d,)
+        assert jax.eval_shape(space.rotation, pose).shape == (d, d)
+        assert jax.eval_shape(space.log, pose).shape == (n_u,)
         np.testing.assert_array_equal(as_matrix(space, pose), np.eye(d + 1))
 
 
@@ -60,6 +58,15 @@ def test_from_numbers_and_the_parts_of_a_pose(space):
     np.testing.assert_allclose(as_matrix(space, pose), expected, atol=1e-15)
     np.testing.assert_allclose(space.rotation(pose), expected[:d, :d], atol=1e-15)
     np.testing.assert_allclose(space.position(pose), expected[:d, d], atol=1e-15)
+
+
+@BOTH
+def test_upright_turns_about_the_vertical(space):
+    expected = np.eye(space.dimension + 1)
+    expected[:2, :2] = Rotation.from_euler("z", 0.7).as_matrix()[:2, :2]
+    expected[:-1, -1] = [3.0, -4.0, 5.0][: space.dimension]
+    pose = jax.jit(space.upright)(jnp.asarray(expected[:-1, -1]), jnp.asarray(0.7))
+    np.testing.assert_allclose(as_matrix(space, pose), expected, atol=1e-15)
 
 
 @BOTH

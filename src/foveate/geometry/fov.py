@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -59,9 +60,39 @@ def require(ok: bool | np.bool, name: str, value: object, right: str) -> None:
 
 
 def safe_sqrt(square: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Square root whose derivative at 0 is 0."""
-    positive = square > 0
+    """Square root that is 0, and so is its derivative, below the machine precision eps [m].
+
+    Coordinates of some metres are rounded by as much: what XLA recomputes for the derivative may differ.
+    """
+    positive = square > jnp.finfo(square.dtype).eps ** 2
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def larger(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+    """max(a, b) with the derivative of one of them.
+
+    That of jnp.maximum tests a and b for equality with the result; XLA may have rounded it differently, and then
+    the weights do not sum to 1 (min, max and clip alike).
+    """
+    return jnp.where(a > b, a, b)
+
+
+def clipped(value: Float[Array, "..."], low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
+    """jnp.clip, differentiated as `larger`."""
+    return jnp.where(value < low, low, jnp.where(value > high, high, value))
+
+
+def height_and_overshoot(
+    point: Float[Array, "... 2"],
+    start: Float[Array, "... 2"],
+    tangent: Float[Array, "... 2"],
+    length: Float[Array, "..."],
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Height of a point to the right of a segment's line, and how far its foot lies beyond the ends, else 0 [m]."""
+    x, y = point[..., 0] - start[..., 0], point[..., 1] - start[..., 1]
+    t_x, t_y = tangent[..., 0], tangent[..., 1]
+    along = t_x * x + t_y * y
+    return t_y * x - t_x * y, jnp.where(along < 0, along, jnp.where(along > length, along - length, 0.0))
 
 
 def arc(start: float, stop: float, count: int = 65) -> np.ndarray:
@@ -91,17 +122,22 @@ class ConvexPolygon(FieldOfView):
     def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
         """Distance to the nearest edge, negative where the point is left of all edges [m].
 
-        d = +-sqrt(min_i (h_i^2 + e_i^2)), h_i the height over the line of edge i, e_i how far the foot of the
-        point lies beyond the edge's ends. On the boundary itself the gradient is 0.
+        d = +-sqrt(h^2 + e^2), h the height over the nearest edge's line, e how far the foot of the point lies
+        beyond the edge's ends. Which edge is nearest has no derivative: only that edge is differentiated.
         """
         edges = jnp.roll(self.vertices, -1, axis=0) - self.vertices
         lengths = jnp.sqrt(jnp.sum(edges**2, axis=-1))
-        t_x, t_y = (edges / lengths[:, None]).T
-        x, y = point_body[..., :1] - self.vertices[:, 0], point_body[..., 1:] - self.vertices[:, 1]
-        heights, along = t_y * x - t_x * y, t_x * x + t_y * y
-        beyond = along - jnp.clip(along, 0.0, lengths)
-        distance = safe_sqrt(jnp.min(heights**2 + beyond**2, axis=-1))
-        return jnp.where(jnp.all(heights <= 0, axis=-1), -distance, distance)
+        tangents = edges / lengths[:, None]
+        still = jax.lax.stop_gradient(point_body)[..., None, :]
+        heights, beyond = height_and_overshoot(still, self.vertices, tangents, lengths)
+        nearest = jnp.argmin(heights**2 + beyond**2, axis=-1)
+        inside = jnp.all(heights <= 0, axis=-1)
+
+        height, overshoot = height_and_overshoot(
+            point_body, self.vertices[nearest], tangents[nearest], lengths[nearest]
+        )
+        corner = safe_sqrt(height**2 + overshoot**2)
+        return jnp.where(overshoot == 0, height, jnp.where(inside, -corner, corner))
 
     def outline(self, reach: float = 10.0) -> np.ndarray:
         return closed(np.asarray(self.vertices))
@@ -160,13 +196,13 @@ def annular_sector_distance(
     full = half_angle >= math.pi
     u_x, u_y = jnp.cos(half_angle), jnp.sin(half_angle)
     height, along = u_x * aside - u_y * ahead, u_x * ahead + u_y * aside
-    beyond = along - jnp.clip(along, near, far)
+    beyond = along - clipped(along, near, far)
     corner = safe_sqrt(height**2 + beyond**2)
     side = jnp.where(beyond == 0, height, jnp.where(height > 0, corner, -corner))
     side = jnp.where(full, -jnp.inf, side)
     radius = safe_sqrt(ahead**2 + aside**2)
-    radial = jnp.maximum(radius - far, jnp.where(near > 0, near - radius, -jnp.inf))
-    return jnp.where(side > 0, side, jnp.maximum(radial, side))
+    radial = larger(radius - far, jnp.where(near > 0, near - radius, -jnp.inf))
+    return jnp.where(side > 0, side, larger(radial, side))
 
 
 def annular_sector_outline(near: float, far: float, half_angle: float) -> np.ndarray:
@@ -233,9 +269,7 @@ class HalfSpace(FieldOfView):
         across = np.linalg.svd(normal[None])[2][1:] * reach
         if self.dimension == 2:
             top, bottom = normal * offset, normal * min(-reach, offset - reach)
-            return closed(
-                np.stack([top - across[0], top + across[0], bottom + across[0], bottom - across[0]])
-            )
+            return closed(np.stack([top - across[0], top + across[0], bottom + across[0], bottom - across[0]]))
         signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return [closed(normal * offset + signs @ across)]
 

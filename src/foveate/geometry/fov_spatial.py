@@ -1,7 +1,10 @@
-"""Fields of view of space (range-limited cone, camera frustum, upright prism), and what several shapes share."""
+"""Fields of view of space (range-limited cone, camera frustum, prism), and what several shapes share."""
 
 import math
+from functools import reduce
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,7 +15,9 @@ from foveate.geometry.fov import (
     annular_sector_distance,
     annular_sector_outline,
     arc,
+    clipped,
     closed,
+    larger,
     require,
     safe_sqrt,
 )
@@ -85,24 +90,32 @@ class Frustum(FieldOfView):
         Folded to y, z >= 0, the squared distance to the cross-section at x = s is (x - s)^2 + (y - a s)_+^2 +
         (z - b s)_+^2: convex, C^1 and piecewise quadratic in s, so that its minimum over near <= s <= far is
         the clipped minimiser of one of four quadratics, by which of the two side planes hold with equality.
+        As the derivative by s is 0 there, or s is at a limit, only the limits are differentiated (first order).
         """
         x, y, z = point_body[..., 0], jnp.abs(point_body[..., 1]), jnp.abs(point_body[..., 2])
-        near, far = self.near, self.far
-        a, b = jnp.tan(self.width_angle / 2), jnp.tan(self.height_angle / 2)
-        beside, to_side = _side_plane(x, y, near, far, self.width_angle / 2)
-        above, to_top = _side_plane(x, z, near, far, self.height_angle / 2)
+        half_width, half_height = self.width_angle / 2, self.height_angle / 2
+        a, b = jnp.tan(half_width), jnp.tan(half_height)
+        beside = jnp.cos(half_width) * y - jnp.sin(half_width) * x
+        above = jnp.cos(half_height) * z - jnp.sin(half_height) * x
+        height = larger(larger(self.near - x, x - self.far), larger(beside, above))
 
-        s = jnp.clip(x, near, far)
-        square = (x - s) ** 2 + _positive(y - a * s) ** 2 + _positive(z - b * s) ** 2
-        s, residual = to_side
-        square = jnp.minimum(square, residual + _positive(z - b * s) ** 2)
-        s, residual = to_top
-        square = jnp.minimum(square, residual + _positive(y - a * s) ** 2)
-        s = jnp.clip((x + a * y + b * z) / (1 + a**2 + b**2), near, far)
-        square = jnp.minimum(square, (x - s) ** 2 + (y - a * s) ** 2 + (z - b * s) ** 2)
+        def square(s: Float[Array, "..."]) -> Float[Array, "..."]:
+            sides = jnp.where(y > a * s, y - a * s, 0.0) ** 2 + jnp.where(z > b * s, z - b * s, 0.0) ** 2
+            return (x - s) ** 2 + sides
 
-        height = jnp.maximum(jnp.maximum(near - x, x - far), jnp.maximum(beside, above))
-        return jnp.where(height > 0, safe_sqrt(square), height)
+        nearest = x
+        for minimiser in (
+            (x + a * y) / (1 + a**2),
+            (x + b * z) / (1 + b**2),
+            (x + a * y + b * z) / (1 + a**2 + b**2),
+        ):
+            better = square(self._between(minimiser)) < square(self._between(nearest))
+            nearest = jnp.where(better, minimiser, nearest)
+        nearest = self._between(jax.lax.stop_gradient(nearest))
+        return jnp.where(height > 0, safe_sqrt(square(nearest)), height)
+
+    def _between(self, s: Float[Array, "..."]) -> Float[Array, "..."]:
+        return clipped(s, self.near, self.far)
 
     def outline(self, reach: float = 10.0) -> list[np.ndarray]:
         """The near and far rectangles and the four slanted edges."""
@@ -110,23 +123,6 @@ class Frustum(FieldOfView):
         corners = np.array([[1, -wide, -high], [1, wide, -high], [1, wide, high], [1, -wide, high]])
         near, far = float(self.near) * corners, float(self.far) * corners
         return [closed(near), closed(far), *np.stack([near, far], axis=1)]
-
-
-def _positive(value: Float[Array, "..."]) -> Float[Array, "..."]:
-    return jnp.maximum(value, 0.0)
-
-
-def _side_plane(
-    x: Float[Array, "..."], y: Float[Array, "..."], near: Scalar, far: Scalar, half_angle: Scalar
-) -> tuple[Float[Array, "..."], tuple[Float[Array, "..."], Float[Array, "..."]]]:
-    """In the plane (x, y): height over the line y = x tan(half_angle) [m], and its part between near and far.
-
-    Of that part, the x of the point nearest to (x, y) [m] and the squared distance [m^2].
-    """
-    cos, sin = jnp.cos(half_angle), jnp.sin(half_angle)
-    height, along = cos * y - sin * x, cos * x + sin * y
-    foot = jnp.clip(along, near / cos, far / cos)
-    return height, (cos * foot, height**2 + (along - foot) ** 2)
 
 
 def frustum(near: Number, far: Number, width_angle: Number, height_angle: Number) -> Frustum:
@@ -190,25 +186,27 @@ class Intersection(FieldOfView):
         The complement of an intersection is the union of complements, and the distance to a union is the
         least of the distances; outside, each member's distance is at most that to the smaller intersection.
         """
-        return jnp.max(jnp.stack([shape.signed_distance(point_body) for shape in self.shapes]), axis=0)
+        return reduce(larger, [shape.signed_distance(point_body) for shape in self.shapes])
 
     def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
         """The parts of the members' outlines within all the others; in the plane for convex members only."""
         depth = float(self.depth)
         reach = 1.01 * depth if math.isfinite(depth) else reach
-        pieces = []
+        lines = []
         for shape in self.shapes:
-            lines = shape.outline(reach)
-            for line in lines if isinstance(lines, list) else [lines]:
+            outline = shape.outline(reach)
+            for line in outline if isinstance(outline, list) else [outline]:
                 fine = np.linspace(line[:-1], line[1:], max(2, 2000 // len(line)), axis=1)
-                fine = fine.reshape(-1, self.dimension)
-                seen = np.asarray(self.signed_distance(jnp.asarray(fine))) <= 1e-5 * reach
-                runs = np.split(np.arange(len(fine)), np.flatnonzero(np.diff(seen)) + 1)
-                pieces += [fine[run] for run in runs if seen[run[0]]]
-        if self.dimension == 3 or not pieces:
+                lines.append(fine.reshape(-1, self.dimension))
+        seen = np.asarray(eqx.filter_jit(self.signed_distance)(jnp.asarray(np.concatenate(lines)))) <= 1e-5 * reach
+        pieces = []
+        for line, kept in zip(lines, np.split(seen, np.cumsum([len(line) for line in lines])[:-1]), strict=True):
+            runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(kept)) + 1)
+            pieces += [line[run] for run in runs if kept[run[0]]]
+        if self.dimension == 3:
             return pieces
-        points = np.concatenate(pieces)
-        from_middle = points - points.mean(axis=0)
+        points = np.concatenate([np.zeros((0, 2)), *pieces])
+        from_middle = points - np.sum(points, axis=0) / max(1, len(points))
         return closed(points[np.argsort(np.arctan2(from_middle[:, 1], from_middle[:, 0]))])
 
 

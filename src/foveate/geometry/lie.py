@@ -55,9 +55,7 @@ def _apply(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b j"]) -> Fl
     return jnp.sum(matrix * vector[..., None, :], axis=-1)
 
 
-def _apply_transposed(
-    matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b i"]
-) -> Float[Array, "... j"]:
+def _apply_transposed(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b i"]) -> Float[Array, "... j"]:
     return jnp.sum(matrix * vector[..., :, None], axis=-2)
 
 
@@ -192,9 +190,7 @@ def quaternion_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 4"]:
 
     4 q q^T is linear in R; its row with the largest diagonal is q, scaled by 4 q_i with |q_i| >= 1/2.
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (
-        tuple(rotation[..., i, j] for j in range(3)) for i in range(3)
-    )
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (tuple(rotation[..., i, j] for j in range(3)) for i in range(3))
     outer = _matrix(
         [
             [1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
@@ -223,7 +219,7 @@ def log_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
     quaternion = quaternion_so3(rotation)
     q_w, n = quaternion[..., 0], quaternion[..., 1:]
     square = jnp.sum(n * n, axis=-1)
-    small = square < 0.01  # a = 0.2 rad, where atan2(|n|, q_w) / |n| has lost one digit of its derivative
+    small = square < 0.01  # below 0.2 rad the closed form would lose digits of its second derivative
     ratio = jnp.where(small, square, 0.0) / jnp.where(small, q_w * q_w, 1.0)
     series = jnp.zeros_like(ratio)
     for j in reversed(range(_SERIES_TERMS)):  # atan(t)/t; t^2 < 0.0102, so t^18/19 < 1e-19 is left out
@@ -281,8 +277,6 @@ def act_se3(transform: Float[Array, "*#b 4 4"], point_body: Float[Array, "*#b 3"
     return transform[..., :3, 3] + _apply(transform[..., :3, :3], point_body)
 
 
-def body_point_se3(
-    transform: Float[Array, "*#b 4 4"], point_world: Float[Array, "*#b 3"]
-) -> Float[Array, "... 3"]:
+def body_point_se3(transform: Float[Array, "*#b 4 4"], point_world: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:
     """The body-frame point q = Q T^-1 [zeta; 1] = R^T (zeta - position) of a world position zeta."""
     return _apply_transposed(transform[..., :3, :3], point_world - transform[..., :3, 3])

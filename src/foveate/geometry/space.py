@@ -178,9 +178,7 @@ class Spatial(Space):
         array = _checked(numbers, self.name, "[x, y, z, qw, qx, qy, qz]")
         largest = np.max(np.abs(array[3:]))
         if largest == 0.0:
-            raise ValueError(
-                f"{self.name} pose: quaternion [qw, qx, qy, qz] must not be zero, got {numbers!r}"
-            )
+            raise ValueError(f"{self.name} pose: quaternion [qw, qx, qy, qz] must not be zero, got {numbers!r}")
         quaternion = jnp.asarray(array[3:] / largest, jnp.result_type(float))  # a tiny one must not underflow
         pose = self.identity().at[:3, :3].set(lie.rotation_quaternion(quaternion))
         return pose.at[:3, 3].set(jnp.asarray(array[:3], pose.dtype))

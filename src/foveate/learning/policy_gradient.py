@@ -58,11 +58,9 @@ def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: b
 def objective(
     problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
 ) -> Float[Array, ""]:
-    """What one episode earns [nat per target]: sum_j log det Y^(j) / n, at the horizon or on the mean over the steps."""
+    """What one episode earns [nat per target]: sum_j log det Y^(j) / n, at the horizon or in the mean over steps."""
     values = log_dets(problem, policy, episode, settings.protocol, key)
-    score = jnp.sum(jnp.where(episode.present, values, 0.0), axis=1) / jnp.maximum(
-        jnp.sum(episode.present), 1
-    )
+    score = jnp.sum(jnp.where(episode.present, values, 0.0), axis=1) / jnp.maximum(jnp.sum(episode.present), 1)
     if settings.objective == "terminal":
         return score[episode.horizon - 1]
     return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
@@ -86,7 +84,7 @@ def epoch(
     value, gradient = jax.value_and_grad(loss)(parameters)
     norm = optax.global_norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
-    policy = eqx.combine(optax.apply_updates(parameters, updates), rest)
+    policy = eqx.apply_updates(learner.policy, updates)
     report = Report(-value, norm, jnp.isfinite(value) & jnp.isfinite(norm))
     return Learner(policy, state, learner.epoch + 1), report
 
@@ -108,9 +106,7 @@ def epochs(
     def step(_, carry):
         arrays, total = carry
         after, now = epoch(problem, scenes, settings, eqx.combine(arrays, static), key)
-        kept = jax.tree.map(
-            lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays
-        )
+        kept = jax.tree.map(lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays)
         sums = Report(
             total.objective + now.objective,
             jnp.maximum(total.gradient_norm, now.gradient_norm),

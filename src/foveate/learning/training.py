@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from tensorboardX import SummaryWriter
 
-from foveate.checkpoint import BEST, CONFIG, LAST, load_tree, save_tree, write_config
+from foveate.arrays import load_arrays
+from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree, write_config
 from foveate.configuration import digest, load_toml
 from foveate.episodes import draw, draw_noise, episode_of
 from foveate.files import write_atomic
@@ -188,11 +189,7 @@ def _next(
     if not (at_limits and bool(learned)) and below < COLLAPSED_CHECKS:
         held = (progress.best, progress.best_score, progress.best_epoch, jnp.array(below), progress.returns)
         return Progress(learner, *held), "", ""
-    why = (
-        f"{at_limit:.0%} of commands at a limit"
-        if at_limits
-        else f"held-out score {score:.2f} for {below} checks"
-    )
+    why = f"{at_limit:.0%} of commands at a limit" if at_limits else f"held-out score {score:.2f} for {below} checks"
     if int(progress.returns) == RETURNS:
         return (
             progress,
@@ -213,19 +210,22 @@ def _claim(out: Path, experiment: Experiment) -> None:
     write_atomic(out / METRICS, b"")
 
 
+def stored_run(run: Path) -> tuple[Experiment, int]:
+    """The experiment and the seed that a run folder was trained with, to go on with it."""
+    experiment = load_toml(Experiment, run / CONFIG)
+    header, _ = load_arrays(run / LAST, "training", VERSION)
+    return experiment, int(header["facts"]["seed"])
+
+
 def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tuple[Progress, float]:
     stored = load_toml(Experiment, out / CONFIG)
     if digest(stored) != digest(experiment):
-        raise ValueError(
-            f"{out}: config.toml describes another experiment: resume with the settings it began with"
-        )
+        raise ValueError(f"{out}: config.toml describes another experiment: resume with the settings it began with")
     progress, facts = load_tree(out / LAST, like, "training")
     if facts["seed"] != seed:
         raise ValueError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
     lines = [
-        line
-        for line in (out / METRICS).read_text().splitlines()
-        if _epoch_of(line) <= int(progress.learner.epoch)
+        line for line in (out / METRICS).read_text().splitlines() if _epoch_of(line) <= int(progress.learner.epoch)
     ]
     write_atomic(out / METRICS, "".join(f"{line}\n" for line in lines).encode())
     return progress, float(facts["elapsed_s"])
@@ -239,14 +239,10 @@ def _epoch_of(line: str) -> float:
         return float("inf")
 
 
-def _keep(
-    out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any
-) -> None:
+def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
-        save_tree(
-            out / BEST, progress.best.policy, experiment, "policy", {**facts, "held_out": check.held_out}
-        )
+        save_tree(out / BEST, progress.best.policy, experiment, "policy", {**facts, "held_out": check.held_out})
     save_tree(out / LAST, progress, experiment, "training", facts)
     with (out / METRICS).open("a") as file:
         file.write(json.dumps(asdict(check)) + "\n")

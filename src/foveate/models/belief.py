@@ -10,7 +10,7 @@ from foveate.types import Information, Mean
 
 
 class Belief(eqx.Module):
-    """A Gaussian over one target's state: mean (n_y,) and *information* matrix (n_y, n_y), the covariance's inverse."""
+    """A Gaussian over one target's state: its mean and its *information* matrix, the inverse of the covariance."""
 
     mean: Mean
     information: Information
@@ -23,7 +23,7 @@ def predict_information(information: Information, motion: LinearGaussian) -> Inf
 
 
 def update_information(prediction: Information, gain: Information, weight: Float[Array, ""]) -> Information:
-    """Y = P + weight H^T V^-1 H, with `gain` = H^T V^-1 H; weight 1 or 0 for a real sensor, in between for a soft one."""
+    """Y = P + weight `gain`, `gain` = H^T V^-1 H; weight 1 or 0 for a real sensor, between them for a soft one."""
     return prediction + weight * gain
 
 
@@ -41,5 +41,5 @@ def correct_mean(
 
 
 def entropy(log_det: Float[Array, "*b"], state_size: int) -> Float[Array, "*b"]:
-    """Differential entropy [nat] of a Gaussian from log det of its information matrix: n_y/2 log(2 pi e) - log det / 2."""
+    """Differential entropy [nat] of a Gaussian, from its information's log det: n_y/2 log(2 pi e) - log det / 2."""
     return 0.5 * (state_size * jnp.log(2 * jnp.pi * jnp.e) - log_det)

@@ -23,7 +23,7 @@ PAPER_SOFTNESS = Softness(offset=2.0, kappa=0.4)
 
 
 def detection_weight(distance: Float[Array, "*b"], softness: Softness) -> Float[Array, "*b"]:
-    """1 - Phi(d), Phi(d) = [1 + erf(d / (sqrt 2 kappa) - offset)] / 2: 1 deep inside, 0 far outside (paper, equation 13).
+    """1 - Phi(d), Phi(d) = [1 + erf(d / (sqrt 2 kappa) - offset)] / 2: 1 deep inside, 0 far outside (paper, eq. for M).
 
     `distance` is the signed distance [m] to the field of view, negative inside.
     """
@@ -44,9 +44,7 @@ class Sensor(eqx.Module):
     range_growth: float = eqx.field(static=True, default=0.0)
     frame: Literal["world", "body"] = eqx.field(static=True, default="world")
 
-    def covariance(
-        self, rotation: Float[Array, "d d"], point_body: Float[Array, " d"]
-    ) -> Float[Array, "n_z n_z"]:
+    def covariance(self, rotation: Float[Array, "d d"], point_body: Float[Array, " d"]) -> Float[Array, "n_z n_z"]:
         """V in the world frame for a target at `point_body` [m]; `rotation` is the agent's, body to world."""
         V = self.V
         if self.frame == "body":

@@ -43,8 +43,6 @@ class LinearGaussian(eqx.Module):
         """The state at a position with every other component 0 (the least-norm solution of Z y = position)."""
         return jnp.linalg.pinv(self.Z) @ position_world
 
-    def advance(
-        self, state: Float[Array, "*b n_y"], known_input: Float[Array, "*b m_y"]
-    ) -> Float[Array, "*b n_y"]:
+    def advance(self, state: Float[Array, "*b n_y"], known_input: Float[Array, "*b m_y"]) -> Float[Array, "*b n_y"]:
         """A y + B xi, without the noise."""
         return state @ self.A.T + known_input @ self.B.T

@@ -16,7 +16,11 @@ from foveate.types import Action, Key
 
 @dataclass(frozen=True, kw_only=True)
 class AttentionSettings:
-    """The paper's network. Widths of its layers, alpha, the frame of its inputs, and more layers before the last."""
+    """The paper's network: widths of its layers, alpha, and the frame of its inputs.
+
+    Positions enter in units of `length_m` (the paper: metres): a world far larger than a metre would saturate the
+    attention of a fresh network.
+    """
 
     kind: Literal["attention"] = "attention"
     frame: Frame = "body"
@@ -24,6 +28,7 @@ class AttentionSettings:
     target_widths: tuple[int, ...] = (64, 32)
     out_widths: tuple[int, ...] = (64,)
     alpha: float = 4.0
+    length_m: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("agent_widths", "target_widths", "out_widths"):
@@ -34,8 +39,9 @@ class AttentionSettings:
             raise ValueError(
                 f"target_widths = {self.target_widths}: expected to end in {self.agent_widths[-1]} as agent_widths does"
             )
-        if self.alpha <= 0:
-            raise ValueError(f"alpha = {self.alpha}: expected > 0")
+        for name in ("alpha", "length_m"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected > 0")
 
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
         """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
@@ -54,6 +60,7 @@ class AttentionSettings:
             space=problem.agent.space,
             frame=self.frame,
             alpha=self.alpha,
+            length_m=self.length_m,
         )
 
 
@@ -71,11 +78,12 @@ class AttentionPolicy(Policy):
     space: Space = eqx.field(static=True)
     frame: Frame = eqx.field(static=True)
     alpha: float = eqx.field(static=True)
+    length_m: float = eqx.field(static=True)
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: tanh of the last layer."""
         del key
-        pose, targets = policy_inputs(observation, self.space, self.frame)
+        pose, targets = policy_inputs(observation, self.space, self.frame, self.length_m)
         for layer in self.agent_layers:
             pose = jax.nn.relu(layer(pose))
         for layer in self.target_layers:

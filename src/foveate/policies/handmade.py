@@ -13,6 +13,9 @@ from foveate.linalg import log_det_spd
 from foveate.problem import Observation, Policy, Problem
 from foveate.types import Action, Flag, Key, Point
 
+LANES = 6
+"""Lanes of the lawnmower; an even number, so that the sweep ends where it can begin again."""
+
 
 class Random(Policy):
     """A new action every step, uniform within the limits."""
@@ -90,24 +93,27 @@ class Uncertain(Steering):
 
 
 class Lawnmower(Steering):
-    """Sweeps the box that holds all first beliefs in parallel lanes, a view apart, again and again.
+    """Sweeps a box in parallel lanes, a view apart, again and again: `box_world` (2, d), or that of the first beliefs.
 
     Its memory is the lanes' corners and which of them comes next.
     """
 
-    lanes: int = eqx.field(static=True)
+    box_world: Float[Array, "2 d"] | None = None
 
     def start(self, observation: Observation) -> Any:
-        """The corners of the lanes, shape (2 lanes, d), beginning at the one nearest the agent."""
+        """The corners of the lanes, shape (2 LANES, d), beginning at the one nearest the agent."""
         position = self.problem.motion.position(observation.mean)
         mask = observation.present[:, None]
         here = self.problem.agent.space.position(observation.pose)
-        nobody = ~observation.present.any()
-        low = jnp.where(nobody, here, jnp.min(jnp.where(mask, position, jnp.inf), axis=0))
-        high = jnp.where(nobody, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
-        across = jnp.repeat((jnp.arange(self.lanes) + 0.5) / self.lanes, 2)
-        along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0]), math.ceil(self.lanes / 2))[: 2 * self.lanes]
-        middle = jnp.full((2 * self.lanes, low.shape[0] - 2), 0.5)
+        if self.box_world is None:
+            nobody = ~observation.present.any()
+            low = jnp.where(nobody, here, jnp.min(jnp.where(mask, position, jnp.inf), axis=0))
+            high = jnp.where(nobody, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
+        else:
+            low, high = self.box_world
+        across = jnp.repeat((jnp.arange(LANES) + 0.5) / LANES, 2)
+        along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0]), LANES // 2)
+        middle = jnp.full((2 * LANES, low.shape[0] - 2), 0.5)
         corners = low + (high - low) * jnp.concatenate([along[:, None], across[:, None], middle], axis=1)
         return corners, jnp.argmin(jnp.linalg.norm(corners - here, axis=-1))
 
@@ -124,8 +130,8 @@ class Lawnmower(Steering):
 METHODS = ("random", "still", "nearest", "uncertain", "lawnmower")
 
 
-def handmade(name: str, problem: Problem) -> Policy:
-    """The hand-made policy of that name; the standoff is half the depth of the view."""
+def handmade(name: str, problem: Problem, box_world: Float[Array, "2 d"] | None = None) -> Policy:
+    """The hand-made policy of that name. Standoff: half the depth of the view; `box_world` is for the lawnmower."""
     depth = float(problem.sensor.view.depth)
     standoff = 0.5 * depth if math.isfinite(depth) else 0.0
     policies = {
@@ -133,11 +139,8 @@ def handmade(name: str, problem: Problem) -> Policy:
         "still": lambda: Still(problem),
         "nearest": lambda: Nearest(problem, standoff),
         "uncertain": lambda: Uncertain(problem, standoff),
-        "lawnmower": lambda: Lawnmower(problem, 0.0, LANES),
+        "lawnmower": lambda: Lawnmower(problem, 0.0, box_world),
     }
     if name not in policies:
         raise ValueError(f"method {name!r}: expected one of {', '.join(METHODS)}")
     return policies[name]()
-
-
-LANES = 6

@@ -14,17 +14,17 @@ Frame = Literal["body", "world"]
 
 
 def policy_inputs(
-    observation: Observation, space: Space, frame: Frame
+    observation: Observation, space: Space, frame: Frame, length_m: float = 1.0
 ) -> tuple[Float[Array, " n_u"], Float[Array, "n features"]]:
     """s = [log(T)^v, {p, vech(P)}] (paper, problem 6): numbers about the agent, and about each target.
 
     In the world frame as the paper's text has it. In the body frame the pose is zero, and mean and information
     matrix are turned into the agent's frame: the same decision wherever the world's origin lies. The state is
-    read as vectors of d numbers, the first of them the position.
+    read as vectors of d numbers, the first of them the position. Means are in units of `length_m` [m].
     """
     mean, information = observation.mean, observation.information
     if frame == "world":
-        return space.log(observation.pose), jnp.concatenate([mean, vech(information)], axis=-1)
+        return space.log(observation.pose), jnp.concatenate([mean / length_m, vech(information)], axis=-1)
     d, size = space.dimension, mean.shape[-1]
     position_body = space.to_body(observation.pose, mean[:, :d])
     turn = space.rotation(observation.pose)
@@ -33,4 +33,4 @@ def policy_inputs(
     turns = jax.scipy.linalg.block_diag(*[turn] * (size // d))
     information_body = multiply(multiply(turns.T, information), turns)
     pose_body = jnp.zeros(space.twist_size, mean.dtype)
-    return pose_body, jnp.concatenate([mean_body, vech(information_body)], axis=-1)
+    return pose_body, jnp.concatenate([mean_body / length_m, vech(information_body)], axis=-1)

@@ -1,0 +1,91 @@
+"""The whole way once: train the paper's policy, evaluate it on the paper's test distribution, draw it.
+
+    make demo            (or: python examples/demo.py)
+
+Leaves config, checkpoint, metrics, table and pictures in runs/demo/.
+"""
+
+import shutil
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from foveate.checkpoint import load_run
+from foveate.cli.common import Bar, keep_compiled, print_table
+from foveate.episodes import table1
+from foveate.evaluation import evaluate, prepare, result, simulate, summarise
+from foveate.figures import animate, learning_curve, trajectory_figure
+from foveate.film import film
+from foveate.files import write_json
+from foveate.learning.training import METRICS, train
+from foveate.published import MODEL_BASED, MODEL_FREE
+from foveate.rollout import PROTOCOLS
+from foveate.settings import PRESETS
+
+OUT = Path("runs/demo")
+
+
+def main() -> None:
+    """Train, evaluate, draw, and say how long each took."""
+    keep_compiled()
+    began = time.perf_counter()
+    shutil.rmtree(OUT, ignore_errors=True)
+    experiment = PRESETS["paper"]
+    print(f"training preset `paper` into {OUT}: {experiment.training.epochs} epochs of {experiment.training.episodes} episodes")
+    with Bar("training", experiment.training.epochs, "epochs") as bar:
+        outcome = train(
+            experiment, OUT, seed=0, report=lambda check, _: bar.update(check.epoch, f"held-out {check.held_out:.2f}")
+        )
+    trained = time.perf_counter()
+    print(f"trained in {trained - began:.0f} s, compilation included; held-out score {outcome.best_score:.2f}")
+
+    experiment, policy, _ = load_run(OUT)
+    problem = experiment.scenario.problem()
+    suite = prepare(problem, experiment.scenario.scenes, table1(problem))
+    rows = evaluate(suite, "policy", policy, ("surrogate", "true"))
+    summary = summarise(rows, problem.motion.state_size)
+    write_json(OUT / "table1.json", result(rows, summary, {"run": str(OUT), "scenes": "table1"}))
+    _print(summary)
+
+    trace = simulate(suite, policy, PROTOCOLS["true"])
+    films = []
+    for targets in (3, 5, 7):
+        i = next(i for i, scene in enumerate(suite.scenes) if scene.id == f"biased-{targets}-00")
+        scene = suite.scenes[i]
+        one = jax.tree.map(lambda x, i=i: x[i], trace)
+        title = f"{targets} targets, biased motion"
+        films.append(film(problem, one, np.asarray(suite.truth.state[i]), scene.horizon, targets, title))
+    trajectory_figure(films, OUT / "trajectories.png")
+    learning_curve([OUT / METRICS], OUT / "learning_curve.png")
+    animate(films[1], OUT / "episode.gif")
+    print(f"{OUT}: table1.json, trajectories.png, learning_curve.png, episode.gif")
+    print(f"done in {time.perf_counter() - began:.0f} s")
+
+
+def _print(summary) -> None:
+    """Our two scores beside the paper's."""
+    cells = {(cell.protocol, cell.motion, cell.targets): cell for cell in summary}
+    lines = []
+    for (motion, targets), (mean, std) in MODEL_BASED.items():
+        soft, real = (cells[protocol, motion, targets] for protocol in ("surrogate", "true"))
+        ppo = MODEL_FREE[motion, targets]
+        lines.append(
+            (
+                motion,
+                f"{targets} targets",
+                f"{ppo[0]:.2f} +- {ppo[1]:.2f}",
+                f"{mean:.2f} +- {std:.2f}",
+                f"{soft.mean:.2f} +- {soft.std:.2f}",
+                f"{real.mean:.2f} +- {real.std:.2f}",
+                f"{real.seen_fraction:.0%}",
+            )
+        )
+    title = "score per target [nat], 30 scenes a cell: the paper's surrogate score, and the true one of the real Kalman filter"
+    header = ("motion", "scene", "paper: PPO", "paper: model-based", "foveate: surrogate", "foveate: true", "really seen")
+    print_table(title, header, lines)
+
+
+if __name__ == "__main__":
+    main()

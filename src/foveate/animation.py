@@ -1,0 +1,179 @@
+"""An episode as a moving picture: the scene beside what is known of each target, as both unfold."""
+
+import io
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from foveate.drawing import BLACK, GREY, PALE, SEEN, Stage, broken, clean, describe, legend_entries, limits, new_figure
+from foveate.files import write_atomic
+from foveate.film import SUBSTEPS, Film
+
+MAX_FRAMES = 150
+DPI = 100
+COLORS = 96
+HOLD_S = 1.5
+"""How long the last frame stands before the animation begins again."""
+TRAIL_STEPS = 40
+Show = Callable[[int], None]
+
+
+def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
+    """Write an episode as `.gif` (looping for ever), `.mp4` (through ffmpeg), or its last moment as `.png`.
+
+    Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses; right, log det of each
+    target's information after every step, a dot where it was measured, and the mean. Up to three frames a step, at
+    most MAX_FRAMES in all: a long episode skips instants. `size` is in pixels, even numbers. Raises ValueError for
+    another ending, a film in space, a bad size, and for `.mp4` where ffmpeg is missing or fails.
+    """
+    film.require_planar()
+    kind = path.suffix.lower()
+    if kind not in (".gif", ".mp4", ".png"):
+        raise ValueError(f"{path}: expected a name that ends in .gif, .mp4 or .png")
+    if min(size) < 200 or any(side % 2 for side in size):
+        raise ValueError(f"size = {size}: expected two even numbers of pixels, at least 200")
+    if not 1 <= fps <= 50:
+        raise ValueError(f"fps = {fps}: expected from 1 to 50 frames a second")
+    if kind == ".mp4" and shutil.which("ffmpeg") is None:
+        raise ValueError(f"{path}: ffmpeg is missing: install it, or write a .gif")
+    moments = frame_moments(film.steps)
+    if kind == ".png":
+        buffer = io.BytesIO()
+        Image.fromarray(next(_frames(film, moments[-1:], size))).save(buffer, "PNG")
+        write_atomic(path, buffer.getvalue())
+    else:
+        encode = _gif if kind == ".gif" else _mp4
+        write_atomic(path, encode(list(_frames(film, moments, size)), fps))
+
+
+def frame_moments(steps: int) -> list[int]:
+    """The moments (in SUBSTEPS a step) of the frames: the first and the last instant always, evenly spaced between."""
+    per_step = max((count for count in (1, 2, 3) if steps * count < MAX_FRAMES), default=1)
+    skip = -(-steps // (MAX_FRAMES - 1)) if steps else 1
+    stride = SUBSTEPS * skip if skip > 1 else SUBSTEPS // per_step
+    end = SUBSTEPS * steps
+    return [*range(0, end, stride), end]
+
+
+def _frames(film: Film, moments: list[int], size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """RGB pictures: what stands still is drawn once, what moves is drawn on top of a copy of it."""
+    width, height = size
+    figure = new_figure(width / DPI, height / DPI, dpi=DPI, layout=None)
+    canvas = FigureCanvasAgg(figure)
+    moving, show = _scene(figure, film, size)
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    for moment in moments:
+        canvas.restore_region(still)
+        show(moment)
+        for artist in moving:
+            figure.draw_artist(artist)
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Artist], Show]:
+    """Everything on the figure: the artists that move, and what moves them."""
+    width, height = size
+    # The map is a square as high as there is room for; the curves take what is left.
+    bottom, top, left = 80 / height, 1 - 36 / height, 46 / width
+    side = min((top - bottom) * height, 0.56 * width)
+    ground = figure.add_axes((left, bottom, side / width, side / height))
+    start = left + (side + 62) / width
+    curves = figure.add_axes((start, bottom, 1 - start - 14 / width, side / height))
+    stage = Stage(ground, film, limits([film]), trail=TRAIL_STEPS, scale=1.15)
+    clean(ground, 9)
+    ground.set_xlabel("x [m]", fontsize=9, labelpad=1)
+    ground.set_ylabel("y [m]", fontsize=9, labelpad=1)
+    figure.text(14 / width, 1 - 12 / height, describe(film), fontsize=11, fontweight="bold", va="top")
+    clock = figure.text(1 - 14 / width, 1 - 12 / height, "", fontsize=10, va="top", ha="right")
+    lines, show_curves = _curves(curves, film)
+    handles = legend_entries()
+    style = {"fontsize": 9, "frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}
+    figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 8 / height), ncols=5, **style)
+
+    def show(moment: int) -> None:
+        stage.show(moment)
+        show_curves(moment)
+        k = moment // SUBSTEPS
+        here = film.present[k]
+        now = f"sees {(film.seen_at(k) & here).sum()} of {here.sum()} now"
+        clock.set_text(f"t = {moment / SUBSTEPS * film.tau_s:.1f} s   {now}")
+
+    return [*stage.artists, *lines, clock], show
+
+
+def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
+    """log det of every target after every step, growing with time."""
+    known = np.where(film.present[1:], film.log_det, np.nan)
+    times = film.times_s[1:]
+    there = np.isfinite(known)
+    count = there.sum(axis=1)
+    mean = np.where(count > 0, np.where(there, known, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+    points = np.stack(np.broadcast_arrays(times[:, None], known), axis=-1)
+    values = known[there]
+    low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
+    pad = 0.06 * (high - low) + 0.1
+    axes.set_xlim(0, max(film.times_s[-1], film.tau_s))
+    axes.set_ylim(low - pad, high + pad)
+    axes.grid(color=PALE, lw=0.6)
+    axes.set_axisbelow(True)
+    clean(axes, 9)
+    axes.set_xlabel("time [s]", fontsize=9, labelpad=1)
+    axes.set_ylabel("log det of information [nat]", fontsize=9, labelpad=1)
+    each = axes.add_line(Line2D([], [], color=GREY, lw=1.0))
+    dots = axes.add_line(Line2D([], [], color=SEEN, ls="none", marker="o", ms=4 if film.steps <= 60 else 2))
+    average = axes.add_line(Line2D([], [], color=BLACK, lw=2.0))
+    handles = [
+        Line2D([], [], color=GREY, lw=1.0, label="one target"),
+        Line2D([], [], color=SEEN, ls="none", marker="o", ms=4, label="seen"),
+        Line2D([], [], color=BLACK, lw=2.0, label="mean"),
+    ]
+    style = {"fontsize": 9, "frameon": False, "handlelength": 1.4, "borderpad": 0, "columnspacing": 1.2}
+    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.005), ncols=3, **style)
+
+    def show(moment: int) -> None:
+        k = moment // SUBSTEPS
+        each.set_data(*broken(points[:k], there[:k]).T)
+        dots.set_data(*points[:k][film.visible[:k] & there[:k]].T)
+        average.set_data(times[:k], mean[:k])
+
+    return [each, dots, average], show
+
+
+def _gif(frames: list[np.ndarray], fps: int) -> bytes:
+    """All frames with one palette, taken from the first, the middle and the last."""
+    sample = np.concatenate([frames[i] for i in (0, len(frames) // 2, -1)])
+    palette = Image.fromarray(sample).quantize(COLORS, Image.Quantize.MAXCOVERAGE)
+    images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    hold = [round(1000 / fps)] * (len(images) - 1) + [round(1000 * HOLD_S)]
+    buffer = io.BytesIO()
+    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=hold, loop=0, optimize=False)
+    return buffer.getvalue()
+
+
+def _mp4(frames: list[np.ndarray], fps: int) -> bytes:
+    """H.264 that browsers play, with the last frame held; ffmpeg wants a file that it can seek in."""
+    height, width = frames[0].shape[:2]
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-"]
+    target = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]
+    held = frames + frames[-1:] * round(HOLD_S * fps)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "film.mp4"
+        command = ["ffmpeg", "-loglevel", "error", "-y", *source, *target, str(file)]
+        done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, held)), capture_output=True)
+        if done.returncode or not file.exists():
+            reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
+            raise ValueError(f"ffmpeg failed: {reason[0]}")
+        return file.read_bytes()

@@ -1,0 +1,117 @@
+"""What several commands share: where a policy comes from, tables, progress, results for programs."""
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from foveate.problem import Policy, Problem
+    from foveate.settings import Experiment
+
+METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
+"""The trained policy, and the hand-made ones (`policies.handmade.METHODS`; repeated here to keep help fast)."""
+
+
+def keep_compiled() -> None:
+    """Keep compiled programs in the user's cache folder (foveate/jax there; safe to delete), so that only the first
+    run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place."""
+    import jax
+
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "foveate" / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def check_methods(methods: Sequence[str]) -> tuple[str, ...]:
+    """The methods to run, `all` spelled out. Raises ValueError for a name that is not known."""
+    if "all" in methods:
+        return METHODS
+    for name in methods:
+        if name not in METHODS:
+            raise ValueError(f"--method {name}: expected one of {', '.join(METHODS)}, or all")
+    return tuple(dict.fromkeys(methods))
+
+
+def experiment_of(run: str) -> "Experiment":
+    """The experiment of a run folder, or the preset of that name where there is no such folder."""
+    from foveate.checkpoint import CONFIG
+    from foveate.configuration import load_toml
+    from foveate.settings import PRESETS, Experiment
+
+    if Path(run).is_dir():
+        return load_toml(Experiment, Path(run) / CONFIG)
+    if run in PRESETS:
+        return PRESETS[run]
+    raise ValueError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESETS)}")
+
+
+def policy_of(run: str, method: str, problem: "Problem", box_world: Any = None) -> "Policy":
+    """The policy that a method name means for a run. Raises ValueError where a preset has no trained policy."""
+    from foveate.checkpoint import load_run
+    from foveate.policies.handmade import handmade
+
+    if method != "policy":
+        return handmade(method, problem, box_world)
+    if not Path(run).is_dir():
+        raise ValueError(
+            f"preset {run} has no trained policy here: train it (foveate train --preset {run}), or name a --method"
+        )
+    return load_run(Path(run))[1]
+
+
+def check_output(path: Path | None) -> None:
+    """Raise ValueError now, not after minutes of work, where a result could not be written."""
+    if path is not None and not path.resolve().parent.is_dir():
+        raise ValueError(f"{path}: no folder {path.parent}: make it first, or choose another place")
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table on standard output; the first two columns are text, the others numbers."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for i, name in enumerate(header):
+        table.add_column(name, justify="left" if i < 2 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    # Not a terminal: no colours, and as wide as the table needs.
+    console = Console() if sys.stdout.isatty() else Console(width=160, no_color=True)
+    console.print(table)
+
+
+class Bar:
+    """A progress bar with rate and time left on a terminal; nothing elsewhere."""
+
+    def __init__(self, what: str, total: int, unit: str) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn(unit),
+            TextColumn("{task.fields[note]}"),
+            TimeRemainingColumn(),
+        )
+        self._progress = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
+        self._task = self._progress.add_task(what, total=total, note="")
+
+    def __enter__(self) -> "Bar":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._progress.stop()
+
+    def update(self, done: int, note: str = "") -> None:
+        """Set how much is done, and a note beside it."""
+        self._progress.update(self._task, completed=done, note=note)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar; on standard error, also where there is no terminal."""
+        self._progress.console.print(line, highlight=False)

@@ -1,0 +1,103 @@
+"""`foveate evaluate`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(kw_only=True)
+class Evaluate:
+    """Score a policy, or policies made by hand, on scenes.
+
+    surrogate: the paper's score; information grows softly, also for targets near the view. true: the Kalman filter
+    that really runs; information only from real measurements. Every method gets the same scenes and the same noise.
+    """
+
+    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    """Run folder of `foveate train`; with hand-made methods a preset's name will do."""
+    scenes: Annotated[str, tyro.conf.arg(metavar="FILE|table1")] = "table1"
+    """Scenes file, or the built-in suite: the paper's six cells, 30 scenes each."""
+    protocol: Literal["surrogate", "true", "both"] = "both"
+    """How information is counted."""
+    method: tuple[str, ...] = ("policy",)
+    """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
+    episodes: int = 1
+    """Noise draws per scene."""
+    seed: int = 0
+    """Seed of the noise."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write rows and summary for programs."""
+    write_scenes: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write the scenes that were run as a scenes file."""
+
+    def run_command(self) -> int:
+        """Evaluate, print the summary, write the files."""
+        from foveate.cli.common import Bar, check_methods, check_output, experiment_of, policy_of, print_table
+        from foveate.configuration import digest
+        from foveate.episodes import table1
+        from foveate.evaluation import evaluate, prepare, result, summarise
+        from foveate.files import write_json
+        from foveate.scenes import read_scenes, write_scenes
+
+        methods = check_methods(self.method)
+        for path in (self.json, self.write_scenes):
+            check_output(path)
+        if self.episodes < 1:
+            raise ValueError(f"--episodes {self.episodes}: expected >= 1")
+        if self.seed < 0:
+            raise ValueError(f"--seed {self.seed}: expected >= 0")
+        experiment = experiment_of(self.run)
+        problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+        if self.scenes == "table1":
+            if experiment.scenario.dimension != 2:
+                raise ValueError("--scenes table1: the paper's suite is planar; give a scenes file")
+            scenes = table1(problem)
+        else:
+            scenes = read_scenes(Path(self.scenes), problem.agent.space, settings)
+        policies = {name: policy_of(self.run, name, problem) for name in methods}
+        suite = prepare(problem, settings, scenes, self.seed, self.episodes)
+        protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
+        rows = []
+        with Bar("evaluating", len(policies), "methods") as bar:
+            for done, (name, policy) in enumerate(policies.items()):
+                bar.update(done, name)
+                rows += evaluate(suite, name, policy, protocols)
+        summary = summarise(rows, problem.motion.state_size)
+        print_table(
+            f"{self.run} on {self.scenes}: score per target [nat], {self.episodes} episode(s) a scene",
+            (
+                "method",
+                "protocol",
+                "motion",
+                "targets",
+                "score",
+                "95 % interval",
+                "std",
+                "seen",
+                "rmse [m]",
+                "nees (band)",
+            ),
+            [
+                (
+                    cell.method,
+                    cell.protocol,
+                    cell.motion,
+                    str(cell.targets),
+                    f"{cell.mean:.2f}",
+                    f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
+                    f"{cell.std:.2f}",
+                    f"{cell.seen_fraction:.0%}",
+                    f"{cell.rmse_m:.2f}",
+                    f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
+                )
+                for cell in summary
+            ],
+        )
+        if self.json is not None:
+            facts = {"run": self.run, "scenes": self.scenes, "experiment": digest(experiment)}
+            write_json(self.json, result(rows, summary, facts))
+        if self.write_scenes is not None:
+            write_scenes(self.write_scenes, scenes)
+        return 0

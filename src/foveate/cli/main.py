@@ -1,0 +1,60 @@
+"""`foveate`: the command line. Nothing heavy is imported before a command is chosen, so that help comes at once."""
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from foveate.cli.common import keep_compiled
+from foveate.cli.evaluate import Evaluate
+from foveate.cli.fit import Fit
+from foveate.cli.replay import Replay
+from foveate.cli.train import Train
+
+DESCRIPTION = """Teach a mobile agent with a limited field of view where to look.
+
+A run in three commands:
+  foveate train --preset paper --out runs/first
+  foveate evaluate runs/first --scenes table1
+  foveate replay runs/first RECORDING.csv --out runs/first/replay
+"""
+
+
+def _command(kind: type, name: str) -> object:
+    # The first paragraph of a command's docstring stands in the list, the whole of it on the command's own page.
+    return Annotated[kind, tyro.conf.subcommand(name, description=kind.__doc__)]
+
+
+COMMANDS = {"train": Train, "evaluate": Evaluate, "fit": Fit, "replay": Replay}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
+    kinds = tuple(_command(kind, name) for name, kind in COMMANDS.items())
+    union = kinds[0]
+    for kind in kinds[1:]:
+        union = union | kind  # pyright: ignore[reportOperatorIssue]
+    command = tyro.cli(
+        union,  # pyright: ignore[reportArgumentType]
+        prog="foveate",
+        description=DESCRIPTION,
+        args=arguments,
+        config=(tyro.conf.OmitSubcommandPrefixes,),
+    )
+    keep_compiled()
+    try:
+        return command.run_command()
+    except ValueError as error:
+        print(f"foveate: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"foveate: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("foveate: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,149 @@
+"""`foveate replay`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(kw_only=True)
+class Replay:
+    """Drive the agent through a recording of real targets, with the real Kalman filter and the real view.
+
+    Targets come and go; positions are interpolated between fixes. All methods get the same noise and the same start.
+    Writes replay.json, a figure and an animation into --out.
+    """
+
+    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    """Run folder of `foveate train`; with hand-made methods a preset's name will do."""
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING.csv")]
+    """Header time_s,track_id,x_m,y_m[,z_m]."""
+    method: tuple[str, ...] = ("all",)
+    """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
+    start: float | None = None
+    """Begin here [s]."""
+    end: float | None = None
+    """End here [s]."""
+    agent_start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,YAW")] = None
+    """Where the agent starts [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording)."""
+    starts: int = 1
+    """Number of starts; with more than one they are drawn, alike for all methods, and means are printed."""
+    max_gap: float = 2.0
+    """Longest gap between two fixes over which a target counts as present [s]."""
+    seed: int = 0
+    """Seed of the noise and of drawn starts."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for replay.json, replay.png and replay.gif."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write the rows for programs."""
+
+    def run_command(self) -> int:
+        """Replay every method from every start, print means, write files."""
+        import sys
+
+        import numpy as np
+
+        from foveate.cli.common import Bar, check_methods, check_output, experiment_of, policy_of
+        from foveate.files import write_json
+        from foveate.recorded import load_recording, window
+        from foveate.replay import prepare_replay, replay, result, warnings_for
+
+        methods = check_methods(self.method)
+        check_output(self.out)
+        check_output(self.json)
+        experiment = experiment_of(self.run)
+        if "policy" in methods and not Path(self.run).is_dir():
+            methods = tuple(name for name in methods if name != "policy")
+            if not methods:
+                raise ValueError(f"preset {self.run} has no trained policy here: train it, or name another --method")
+        recording = window(load_recording(self.recording), self.start, self.end)
+        box = np.stack(recording.extent)
+        starts = self._starts(recording, experiment)
+        rows, films = [], {}
+        with Bar("replaying", len(starts) * len(methods), "runs") as bar:
+            for start in starts:
+                ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed)
+                if not rows:
+                    for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
+                        print(f"warning: {line}", file=sys.stderr)
+                for name in methods:
+                    row, trace = replay(ready, name, policy_of(self.run, name, ready.problem, box))
+                    rows.append(row)
+                    if start is starts[0] and self.out is not None:
+                        films[name] = (ready, trace)
+                    bar.update(len(rows), name)
+        self._print(rows, methods)
+        document = result(rows, {"run": self.run, "recording": self.recording.name, "seed": self.seed})
+        if self.json is not None:
+            write_json(self.json, document)
+        if self.out is not None:
+            self.out.mkdir(exist_ok=True)
+            write_json(self.out / "replay.json", document)
+            self._draw(films)
+        return 0
+
+    def _starts(self, recording, experiment) -> list[list[float]]:
+        from foveate.replay import default_agent_start, random_agent_starts
+
+        if self.starts < 1:
+            raise ValueError(f"--starts {self.starts}: expected >= 1")
+        if self.agent_start is not None:
+            if self.starts > 1:
+                raise ValueError("--agent-start and --starts: expected one of them")
+            try:
+                numbers = [float(part) for part in self.agent_start.split(",")]
+                experiment.scenario.problem().agent.space.from_numbers(numbers)
+            except ValueError as error:
+                raise ValueError(f"--agent-start {self.agent_start}: {error}") from None
+            return [numbers]
+        if self.starts > 1:
+            return random_agent_starts(recording, experiment.scenario, self.starts, self.seed)
+        return [default_agent_start(recording, experiment.scenario)]
+
+    def _print(self, rows, methods) -> None:
+        import numpy as np
+
+        from foveate.cli.common import print_table
+
+        names = (
+            "seen_time_fraction",
+            "seen_fraction",
+            "longest_unseen_s",
+            "log_det_mean",
+            "rmse_m",
+            "nees",
+            "lost",
+        )
+        lines = []
+        for method in methods:
+            mine = [row for row in rows if row.method == method]
+            means = [float(np.mean([getattr(row, name) for row in mine])) for name in names]
+            shown = [f"{means[0]:.1%}", f"{means[1]:.0%}", *(f"{mean:.2f}" for mean in means[2:])]
+            lines.append((method, f"{mine[0].targets} tracks", *shown))
+        header = (
+            "method",
+            "targets",
+            "time seen",
+            "ever seen",
+            "longest unseen [s]",
+            "log det",
+            "rmse [m]",
+            "nees",
+            "lost",
+        )
+        print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)
+
+    def _draw(self, films) -> None:
+        from foveate.figures import animate, replay_figure
+        from foveate.film import film
+
+        assert self.out is not None, "called with a folder only"
+        shots = {}
+        for name, (ready, trace) in films.items():
+            steps, columns = trace.visible.shape
+            shots[name] = film(ready.problem, trace, ready.truth, steps, columns, f"{name} on {self.recording.name}")
+        replay_figure(shots, self.out / "replay.png")
+        first = next(iter(shots))
+        animate(shots[first], self.out / "replay.gif")
+        print(f"{self.out}: replay.json, replay.png, replay.gif ({first})")

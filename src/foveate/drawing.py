@@ -1,0 +1,188 @@
+"""What every picture of an episode is made of: colours, ellipses, the view on the ground, one scene in its axes.
+
+Seen and not seen differ in line style as well as in colour, and the colours are Okabe and Ito's, which colour-blind
+readers tell apart.
+"""
+
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
+
+from foveate.files import write_atomic
+from foveate.film import SUBSTEPS, Film
+
+BLUE, SKY, GREEN, VERMILLION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
+PURPLE, BLACK, GREY, PALE = "#CC79A7", "#000000", "#8C8C8C", "#E6E6E6"
+CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+"""Colours of runs and methods, in this order."""
+SEEN, UNSEEN, AGENT = GREEN, VERMILLION, BLUE
+
+CHI_SQUARE_95 = -2.0 * math.log(0.05)
+"""A planar Gaussian lies within this squared Mahalanobis distance with probability 0.95."""
+CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 49)[:-1]), np.sin(t)], axis=-1)
+KITE = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.4, 0.0], [-0.8, -0.65]])
+"""The agent, its nose along +x."""
+
+
+def ellipses(mean: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n v 2"]:
+    """The borders of the regions that hold 95 % of N(mean, covariance) [m]."""
+    values, vectors = np.linalg.eigh(covariance)
+    axes = vectors * np.sqrt(CHI_SQUARE_95 * np.maximum(values, 0.0))[:, None, :]
+    return mean[:, None, :] + CIRCLE @ axes.swapaxes(-1, -2)
+
+
+def placed(pose: Float[np.ndarray, "3"], points_body: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
+    """Body-frame points in the world [m], for a planar pose [x, y, yaw]."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    return points_body @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+
+
+def limits(films: Sequence[Film], margin: float = 0.04) -> Float[np.ndarray, "2 2"]:
+    """Lower and upper corner [m] of the square that shows targets, agent and view of these films at every instant.
+
+    Beliefs are shown as far as they reach beyond that by 15 % at most: one that nobody corrects may grow for ever.
+    """
+    core, soft = [], []
+    for film in films:
+        core.append(film.truth[film.present])
+        core += [placed(pose, line) for pose in film.pose for line in film.outline]
+        soft.append(ellipses(film.estimate[film.present], film.covariance[film.present]).reshape(-1, 2))
+    points, beliefs = np.concatenate(core), np.concatenate(soft)
+    low, high = points.min(axis=0), points.max(axis=0)
+    reach = 0.15 * (high - low).max()
+    if len(beliefs):
+        low = np.minimum(low, np.maximum(beliefs.min(axis=0), low - reach))
+        high = np.maximum(high, np.minimum(beliefs.max(axis=0), high + reach))
+    half = (0.5 + margin) * (high - low).max()
+    return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
+
+
+def broken(tracks: Float[np.ndarray, "instants n 2"], shown: Bool[np.ndarray, "instants n"]) -> np.ndarray:
+    """Many tracks as one line: one after the other, with NaN between them and where they are not shown."""
+    line = np.where(shown[..., None], tracks, np.nan)
+    gap = np.full((1, *line.shape[1:]), np.nan)
+    return np.concatenate([line, gap]).swapaxes(0, 1).reshape(-1, 2)
+
+
+class Stage:
+    """A planar scene in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
+
+    `trail` is how many steps back trails and path reach, None for all. `scale` grows the symbols.
+    """
+
+    def __init__(self, axes: Axes, film: Film, box: np.ndarray, trail: int | None = None, scale: float = 1.0) -> None:
+        self.film, self.arc, self.trail = film, film.arc(), trail
+        self.size = 0.035 * scale * float(box[1, 0] - box[0, 0])
+        axes.set_aspect("equal")
+        axes.set_xlim(*box[:, 0])
+        axes.set_ylim(*box[:, 1])
+
+        def line(color: str, **style: Any) -> Line2D:
+            return axes.add_line(Line2D([], [], color=color, **style))
+
+        blank = np.zeros((3, 2))
+        self.views = [
+            axes.add_patch(Polygon(blank, facecolor=SKY + "55", edgecolor=AGENT, lw=0.7 * scale, zorder=1))
+            for _ in film.outline
+        ]
+        self.path = line(AGENT, lw=1.4 * scale, zorder=2)
+        self.trails = line(GREY, lw=0.9 * scale, zorder=2)
+        self.unseen = PolyCollection([], facecolors=UNSEEN + "22", edgecolors=UNSEEN, zorder=3)
+        self.unseen.set(linewidth=1.0 * scale, linestyle=(0, (3, 2)))
+        self.seen = PolyCollection([], facecolors=SEEN + "40", edgecolors=SEEN, linewidth=1.3 * scale, zorder=5)
+        axes.add_collection(self.unseen, autolim=False)
+        axes.add_collection(self.seen, autolim=False)
+        cross = {"ls": "none", "marker": "x", "ms": 6.5 * scale, "mew": 1.3 * scale}
+        self.unseen_means = line(UNSEEN, zorder=4, **cross)
+        self.seen_means = line(SEEN, zorder=6, **cross)
+        self.targets = line(BLACK, ls="none", marker="s", ms=2.8 * scale, zorder=7)
+        self.agent = axes.add_patch(Polygon(blank, facecolor=AGENT, edgecolor="white", lw=0.4 * scale, zorder=8))
+
+    @property
+    def artists(self) -> list[Artist]:
+        """All that moves, from the ground up."""
+        beliefs = (self.unseen, self.unseen_means, self.seen, self.seen_means)
+        return [*self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
+
+    def show(self, moment: int) -> None:
+        """Move to moment i: i / SUBSTEPS steps after the start.
+
+        Between two instants the agent is on its arc, positions are interpolated linearly, and a belief keeps its
+        covariance and colour until the next measurement can have come.
+        """
+        film, (k, part) = self.film, divmod(moment, SUBSTEPS)
+        later, share = min(k + 1, film.steps), part / SUBSTEPS
+        here, stays, seen = film.present[k], film.present[k] & film.present[later], film.seen_at(k)
+
+        def between(values: np.ndarray) -> np.ndarray:
+            return values[k] + share * stays[:, None] * (values[later] - values[k])
+
+        pose, truth, mean = self.arc[moment], between(film.truth), between(film.estimate)
+        first = 0 if self.trail is None else max(0, k - self.trail)
+        tracks = np.concatenate([film.truth[first : k + 1], truth[None]])
+        self.trails.set_data(*broken(tracks, np.concatenate([film.present[first : k + 1], here[None]])).T)
+        self.path.set_data(*self.arc[first * SUBSTEPS : moment + 1, :2].T)
+        for view, border in zip(self.views, film.outline, strict=True):
+            view.set_xy(placed(pose, border))
+        self.agent.set_xy(placed(pose, self.size * KITE))
+        self.targets.set_data(*truth[here].T)
+        for areas, means, which in (
+            (self.seen, self.seen_means, here & seen),
+            (self.unseen, self.unseen_means, here & ~seen),
+        ):
+            areas.set_verts(list(ellipses(mean[which], film.covariance[k][which])))
+            means.set_data(*mean[which].T)
+
+
+def legend_entries() -> list[Artist]:
+    """What the colours and symbols of a `Stage` mean."""
+    return [
+        Line2D([], [], color=AGENT, lw=1.5, label="agent and its path"),
+        Patch(facecolor=SKY + "55", edgecolor=AGENT, lw=0.7, label="field of view"),
+        Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target, its track"),
+        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="estimate (95 %), seen now"),
+        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=(0, (3, 2)), label="estimate (95 %), not seen now"),
+    ]
+
+
+def describe(film: Film) -> str:
+    """Title, number of targets and score, as far as there are any."""
+    count = "no target" if not film.targets else f"{film.targets} target{'s' * (film.targets > 1)}"
+    score = [] if film.score is None else [f"score {film.score:.2f}"]
+    return " · ".join([*([film.title] if film.title else []), count, *score])
+
+
+def clean(axes: Axes, size: float = 8.0) -> None:
+    """Quiet axes: thin grey frame, small numbers."""
+    axes.tick_params(labelsize=size, length=2.5, width=0.6, color=GREY, pad=2)
+    for spine in axes.spines.values():
+        spine.set(linewidth=0.6, color=GREY)
+
+
+def new_figure(width: float, height: float, dpi: int = 150, layout: Any = "constrained") -> Figure:
+    """A white figure [inches] on its own canvas: nothing of pyplot, no global state."""
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure whole or not at all; the ending says the format (.png, .pdf, .svg)."""
+    kinds = (".png", ".pdf", ".svg")
+    if path.suffix.lower() not in kinds:
+        raise ValueError(f"{path}: expected a name that ends in {', '.join(kinds)}")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=path.suffix[1:].lower())
+    write_atomic(path, buffer.getvalue())

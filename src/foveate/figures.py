@@ -1,0 +1,241 @@
+"""Pictures of results on paper: episodes as they unfold, learning curves, recordings. Reads, never simulates."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from foveate.drawing import (
+    AGENT,
+    BLACK,
+    CYCLE,
+    GREY,
+    PALE,
+    SEEN,
+    VERMILLION,
+    Stage,
+    broken,
+    clean,
+    describe,
+    legend_entries,
+    limits,
+    new_figure,
+    save,
+)
+from foveate.files import read_text
+from foveate.film import SUBSTEPS, Film
+from foveate.learning.training import METRICS, Check
+
+WIDTH = 9.0
+"""Inches; at README width (about 900 pixels) a point is then 1.4 pixels."""
+COLUMNS = 4
+
+
+def trajectory_figure(films: Sequence[Film], path: Path) -> None:
+    """One row a film: the start, a third, two thirds and the end of it.
+
+    Each panel shows the agent and its path so far, its field of view there, the targets (squares) with their tracks so
+    far, and what is believed about them: mean (cross) and 95 % ellipse, solid if the target was measured at
+    that instant, dashed if not. Films that begin with the same targets share their limits. Raises ValueError for
+    films in space, or none.
+    """
+    if not films:
+        raise ValueError("no film to draw: expected at least one")
+    for film in films:
+        film.require_planar()
+    panel = WIDTH / COLUMNS
+    figure = new_figure(WIDTH, len(films) * (panel + 0.3) + 0.3)
+    rows = figure.subfigures(len(films), 1, squeeze=False)[:, 0]
+    for row, film in zip(rows, films, strict=True):
+        row.suptitle(describe(film), x=0.01, ha="left", fontsize=9, fontweight="bold")
+        box = limits([other for other in films if _same_scene(film, other)])
+        instants = [round(film.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
+        for axes, instant in zip(row.subplots(1, COLUMNS, sharey=True), instants, strict=True):
+            Stage(axes, film, box).show(SUBSTEPS * instant)
+            clean(axes)
+            axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
+        figure.axes[-COLUMNS].set_ylabel("y [m]", fontsize=8.5, labelpad=3)
+    for axes in figure.axes[-COLUMNS:]:
+        axes.set_xlabel("x [m]", fontsize=8.5, labelpad=1)
+    figure.legend(handles=legend_entries(), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
+    save(figure, path)
+
+
+def _same_scene(one: Film, other: Film) -> bool:
+    return one.truth.shape == other.truth.shape and np.allclose(one.truth[:1], other.truth[:1])
+
+
+def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
+    """Objective of the training batches (thin) and held-out score (bold) against epochs, for one run or several.
+
+    `runs` are run folders or their `metrics.jsonl`. The best check is a star, a collapse (or a value that was not
+    finite) a dotted vertical line; seconds stand along the top for one run, in the legend for several. Raises
+    ValueError in one line where a file holds no check.
+    """
+    files = [run / METRICS if run.is_dir() else run for run in ([runs] if isinstance(runs, Path) else runs)]
+    if not files:
+        raise ValueError("no run to draw: expected at least one")
+    histories = [read_checks(file) for file in files]
+    figure = new_figure(WIDTH, 4.0)
+    axes = figure.subplots()
+    single = len(files) == 1
+    for file, checks, color in zip(files, histories, _colors(len(files)), strict=True):
+        epochs = [check.epoch for check in checks]
+        label = "" if single else f"{file.parent.name} ({checks[-1].elapsed_s:.0f} s)"
+        axes.plot(epochs, [check.objective for check in checks], color=color, lw=0.9, alpha=0.6)
+        axes.plot(epochs, [check.held_out for check in checks], color=color, lw=2, label=label or None)
+        # As training does: the last that was the best when it was made.
+        best = [check for check in checks if check.best]
+        for check in best[-1:]:
+            axes.plot(check.epoch, check.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
+            note = f"{check.held_out:.2f}"
+            offset = {"xytext": (0, 8), "textcoords": "offset points", "ha": "center", "fontsize": 9}
+            axes.annotate(note, (check.epoch, check.held_out), color=color, fontweight="bold", **offset)
+        for check in checks:
+            if check.event:
+                axes.axvline(check.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
+    clean(axes, 9)
+    axes.grid(color=PALE, lw=0.6)
+    axes.set_xlabel("epoch", fontsize=9.5)
+    axes.set_ylabel("log det of information [nat per target]", fontsize=9.5)
+    axes.margins(x=0.01, y=0.1)
+    if single:
+        _seconds_on_top(axes, histories[0])
+    collapsed = any(check.event for checks in histories for check in checks)
+    handles = _curve_legend(single, collapsed) + axes.get_legend_handles_labels()[0]
+    axes.legend(handles=handles, fontsize=9, frameon=False, loc="lower right")
+    save(figure, path)
+
+
+def read_checks(file: Path) -> list[Check]:
+    """The checks of a `metrics.jsonl`; a last line that was cut while it was written is passed over."""
+    names, checks = {field.name for field in fields(Check)}, []
+    lines = [line for line in read_text(file, "metrics.jsonl of a run").splitlines() if line.strip()]
+    for number, line in enumerate(lines, start=1):
+        try:
+            row = json.loads(line)
+            checks.append(Check(**{name: value for name, value in row.items() if name in names}))
+        except (ValueError, TypeError, AttributeError):
+            if number < len(lines):
+                raise ValueError(f"{file}: line {number}: not a check of a training") from None
+    if not checks:
+        raise ValueError(f"{file}: no check in it yet: expected at least one line")
+    return checks
+
+
+def _colors(count: int) -> list[str]:
+    return [CYCLE[i % len(CYCLE)] for i in range(count)]
+
+
+def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
+    color = CYCLE[0] if single else GREY
+    entries = [
+        Line2D([], [], color=color, lw=2, label="held-out score"),
+        Line2D([], [], color=color, lw=0.9, alpha=0.6, label="training objective"),
+        Line2D([], [], color=color, ls="none", marker="*", ms=11, label="best, kept"),
+    ]
+    if collapsed:
+        entries.append(Line2D([], [], color=VERMILLION if single else GREY, ls=":", lw=1.2, label="collapse, return"))
+    return entries
+
+
+def _seconds_on_top(axes: Axes, checks: Sequence[Check]) -> None:
+    """A second x axis: the time at which the epochs of the first one were done."""
+    top = axes.twiny()
+    top.set_xlim(axes.get_xlim())
+    epochs = [0, *(check.epoch for check in checks)]
+    ticks = [tick for tick in axes.get_xticks() if 0 <= tick <= epochs[-1]]
+    seconds = np.interp(ticks, epochs, [0.0, *(check.elapsed_s for check in checks)])
+    top.set_xticks(ticks, [f"{value:.0f} s" for value in seconds])
+    clean(top, 9)
+    top.tick_params(labelcolor=GREY)
+
+
+def replay_figure(films: Mapping[str, Film], path: Path) -> None:
+    """A recording as several methods saw it; map and timeline are those of the first.
+
+    Left, the map: every target's track in grey, in colour while it was seen, and the agent's path from the triangle
+    on. Right, the timeline: one row a column of targets, light while one is there, dark while it is seen;
+    below it the share of all target time that each method saw. Raises ValueError for films in space, or none.
+    """
+    if not films:
+        raise ValueError("no film to draw: expected at least one")
+    name, film = next(iter(films.items()))
+    film.require_planar()
+    bars = 0.26 * len(films) + 0.25
+    figure = new_figure(WIDTH, max(4.4, 2.9 + bars))
+    left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.0))
+    _map(left.subplots(), film, name)
+    timeline, shares = right.subplots(2, 1, height_ratios=(max(4.4, 2.9 + bars) - 0.9 - bars, bars))
+    _timeline(timeline, film, name)
+    _shares(shares, films)
+    handles = [
+        Line2D([], [], color=AGENT, lw=1.3, marker=">", ms=5, label=f"agent ({name})"),
+        Line2D([], [], color=GREY, lw=0.8, label="target"),
+        Line2D([], [], color=SEEN, lw=2.2, label="target while seen"),
+        Patch(facecolor=PALE, label="target there"),
+        Patch(facecolor=SEEN, label="seen"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
+    save(figure, path)
+
+
+def _map(axes: Axes, film: Film, name: str) -> None:
+    """Tracks, where they were seen, and the way of the agent."""
+    axes.plot(*broken(film.truth, film.present).T, color=GREY, lw=0.6, alpha=0.8)
+    ends = np.stack([film.truth[:-1], film.truth[1:]], axis=2)
+    axes.add_collection(LineCollection(list(ends[film.visible & film.counted]), colors=SEEN, lw=2.2, zorder=3))
+    arc = film.arc()
+    axes.plot(*arc[:, :2].T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
+    heading = (3, 0, np.degrees(arc[0, 2]) - 90)
+    axes.plot(*arc[0, :2], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
+    axes.set_aspect("equal", adjustable="datalim")
+    clean(axes)
+    axes.set_xlabel("x [m]", fontsize=8.5, labelpad=1)
+    axes.set_ylabel("y [m]", fontsize=8.5, labelpad=3)
+    axes.set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
+
+
+def _timeline(axes: Axes, film: Film, name: str) -> None:
+    """Rows of targets over time: there or not, seen or not."""
+    end, there, seen = film.times_s[-1], film.counted, film.visible & film.counted
+    for column in range(film.targets):
+        for which, color, edge in ((there, PALE, 0.0), (seen, SEEN, 0.5)):
+            # The edge keeps a glimpse of one step visible where a step is less than a pixel.
+            spans = film.tau_s * _runs(which[:, column])
+            axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
+    axes.set_xlim(0, end)
+    axes.set_ylim(film.targets + 0.5, 0.5)
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    clean(axes)
+    axes.set_ylabel("target (column)", fontsize=8.5, labelpad=4)
+    axes.set_xlabel("time [s]", fontsize=8.5, labelpad=1)
+    axes.set_title(f"when {name} saw which", fontsize=9, fontweight="bold", loc="left")
+
+
+def _runs(flags: np.ndarray) -> np.ndarray:
+    """First index and length of every run of true values, shape (runs, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
+    return np.stack([edges[:, 0], edges[:, 1] - edges[:, 0]], axis=1)
+
+
+def _shares(axes: Axes, films: Mapping[str, Film]) -> None:
+    """The share of target time that each method saw."""
+    values = [100 * film.seen_share for film in films.values()]
+    colors = [SEEN, *[GREY] * (len(films) - 1)]
+    bars = axes.barh(list(films), values, color=colors, height=0.65)
+    axes.bar_label(bars, [f"{value:.1f} %" for value in values], fontsize=8.5, padding=3)
+    axes.set_xlim(0, max(1.0, 1.18 * max(values)))
+    axes.invert_yaxis()
+    clean(axes, 8.5)
+    axes.set_xticks([])
+    axes.tick_params(labelcolor=BLACK, length=0)
+    for side in ("top", "right", "bottom"):
+        axes.spines[side].set_visible(False)
+    axes.set_title("share of target time seen", fontsize=9, fontweight="bold", loc="left")

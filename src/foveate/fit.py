@@ -1,0 +1,61 @@
+"""From a recording to a scenario: who moves there and how, as an experiment that trains a policy for it."""
+
+import numpy as np
+
+from foveate.motion_fit import MotionStatistics
+from foveate.policies.attention import AttentionSettings
+from foveate.scenario import DifferentialDrive, DriftTarget, Scenario, SceneSettings, SectorView, SensorSettings
+from foveate.settings import Experiment, TrainingSettings
+
+SQUARE_MEAN = 0.7651957
+"""Mean length of a vector uniform in the square [-1, 1]^2: (sqrt 2 + log(1 + sqrt 2)) / 3."""
+
+
+def fit_experiment(
+    statistics: MotionStatistics, *, v_max: float, w_max: float, depth_m: float, angle_deg: float, std_m: float
+) -> Experiment:
+    """A scenario whose targets appear where the recording has them and walk straight at its speed.
+
+    The agent is not told how targets move: its filter supposes a random walk with the covariance of the recording's
+    displacements. Agent and sensor are the user's.
+    """
+    lower, upper = statistics.robust_lower_m, statistics.robust_upper_m
+    sides = tuple(float(x) for x in np.maximum((upper - lower) / 2, 1.0))
+    W = tuple(tuple(float(x) for x in row) for row in statistics.walk_covariance_m2)
+    scenario = Scenario(
+        tau_s=statistics.tau_s,
+        agent=DifferentialDrive(v_max_m_s=v_max, w_max_rad_s=w_max),
+        view=SectorView(depth_m=depth_m, angle_deg=angle_deg),
+        sensor=SensorSettings(std_m=std_m),
+        target=DriftTarget(W=W, initial_variance_m2=1.0),
+        scenes=SceneSettings(
+            targets_min=max(1, statistics.at_once_min),
+            targets_max=max(2, int(np.ceil(statistics.at_once_p95))),
+            centre_m=tuple(float(x) for x in (lower + upper) / 2),
+            half_side_m=sides,
+            half_side_per_target_m=0.0,
+            agent_spread=1.0,
+            agent_test_half_side_m=min(sides),
+            drift_m_s=statistics.speed_median_m_s / SQUARE_MEAN,
+            shared_drift=False,
+            known_drift=False,
+            process_noise=False,
+            jitter_m_s=0.0,
+            steps=max(10, round(20.0 / statistics.tau_s)),
+            initial_error="consistent",
+        ),
+    )
+    return Experiment(scenario=scenario, policy=AttentionSettings(), training=RECORDING_TRAINING)
+
+
+RECORDING_TRAINING = TrainingSettings(
+    epochs=2000,
+    episodes=128,
+    learning_rate=1e-3,
+    schedule="cosine",
+    softness=((1.0, 2.0), (0.3, 0.6)),
+    objective="mean",
+    noise=True,
+    select="true",
+    check_every=100,
+)

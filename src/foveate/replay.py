@@ -1,0 +1,201 @@
+"""Driving an agent through a recording of real targets that come and go, with the real filter and real visibility."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.episodes import first_error
+from foveate.evaluation import decision_time, longest_run
+from foveate.motion_fit import fit_statistics, median_fix_interval_s
+from foveate.problem import Arrivals, Episode, Policy, Problem, Trace, Truth
+from foveate.recorded import Recording, Slots, resample_slots
+from foveate.rollout import TRUE, rollout
+from foveate.scenario import Scenario
+
+CONTRADICTION = 4.0
+"""A process noise off by more than this factor in variance is worth a warning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayRow:
+    """One method on one recording from one start.
+
+    `targets` counts tracks that were there for a step at least; `log_det_mean` [nat], `rmse_m` and `nees` are over all
+    targets at all steps; `seen_fraction` is the share of tracks measured at least once, `seen_time_fraction` of all
+    target-steps with a measurement; `longest_unseen_s` the longest time that any track went without one; `lost` counts
+    tracks that were unseen at their end with an error above the depth of the view.
+    """
+
+    method: str
+    seed: int
+    agent_start: tuple[float, ...]
+    targets: int
+    log_det_mean: float
+    seen_fraction: float
+    seen_time_fraction: float
+    longest_unseen_s: float
+    rmse_m: float
+    nees: float
+    lost: int
+    step_time_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """A recording made ready: what every method gets alike. `truth` (K+1, columns, n_y)."""
+
+    problem: Problem
+    slots: Slots
+    episode: Episode
+    truth: np.ndarray
+    agent_start: tuple[float, ...]
+    seed: int
+
+
+def prepare_replay(
+    scenario: Scenario, recording: Recording, agent_start: Sequence[float], max_gap_s: float = 2.0, seed: int = 0
+) -> Replay:
+    """Sample the recording at the scenario's control period and draw the noise of its measurements from `seed`.
+
+    Raises ValueError where the recording has another number of dimensions than the scenario.
+    """
+    d, problem = scenario.dimension, scenario.problem()
+    if recording.dimension != d:
+        raise ValueError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
+    slots = resample_slots(recording, float(scenario.tau_s), float(max_gap_s))
+    truth = _states(problem, slots)
+    steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
+    rng = np.random.default_rng([seed, 0x7265706C])
+    error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((steps + 1, n, n_y)), float))
+    first_mean = jnp.asarray(truth, float) + error
+    noise = rng.standard_normal((steps, n, problem.sensor.H.shape[0]))
+    present = jnp.asarray(slots.present)
+    episode = Episode(
+        pose=problem.agent.space.from_numbers(agent_start),
+        mean=first_mean[0],
+        present=present[0],
+        inputs=jnp.zeros((steps, n, problem.motion.input_size)),
+        horizon=jnp.asarray(steps),
+        truth=Truth(state=jnp.asarray(truth, float), measurement_noise=jnp.asarray(noise, float)),
+        arrivals=Arrivals(present=present, mean=first_mean),
+    )
+    start = tuple(float(x) for x in agent_start)
+    return Replay(problem=problem, slots=slots, episode=episode, truth=truth, agent_start=start, seed=seed)
+
+
+def _states(problem: Problem, slots: Slots) -> np.ndarray:
+    """Recorded positions as states: velocities (and their derivatives) by differences between instants."""
+    d, n_y = problem.agent.space.dimension, problem.motion.state_size
+    blocks = [slots.positions_m]
+    same = slots.track_index[1:] == slots.track_index[:-1]
+    while len(blocks) * d < n_y:
+        change = np.where(same[..., None], np.diff(blocks[-1], axis=0), 0.0) / float(problem.tau)
+        # The derivative over a step stands at its end; at a track's first instant the one that follows is taken.
+        ahead = np.concatenate([change, change[-1:]])
+        behind = np.concatenate([change[:1], change])
+        begins = np.concatenate([np.ones_like(same[:1]), ~same])
+        blocks.append(np.where(begins[..., None], ahead, behind))
+    return np.concatenate(blocks, axis=-1)[..., :n_y]
+
+
+@eqx.filter_jit
+def _run(problem: Problem, policy: Policy, episode: Episode, key) -> Trace:
+    return rollout(problem, policy, episode, TRUE, key)
+
+
+def replay(ready: Replay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
+    """Drive one method through the recording."""
+    trace = _run(ready.problem, policy, ready.episode, jax.random.key(ready.seed))
+    trace = jax.tree.map(np.asarray, trace)
+    step_time = decision_time(ready.problem, policy, ready.episode)
+    return _row(ready, method, trace, step_time), trace
+
+
+def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRow:
+    index, tau = ready.slots.track_index, float(ready.problem.tau)
+    # A step counts for a track that was there before and after it: at its first instant there is no belief to update.
+    counts = (index[1:] >= 0) & (index[1:] == index[:-1])
+    visible = np.asarray(trace.visible) & counts
+    error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
+    square = ((error @ np.asarray(ready.problem.motion.Z, float).T) ** 2).sum(axis=-1)
+    nees = np.einsum("kni,knij,knj->kn", error, np.asarray(trace.information, float)[1:], error)
+    depth = float(ready.problem.sensor.view.depth)
+    seen, lost, longest = 0, 0, 0
+    tracks = np.unique(index[1:][counts])
+    for track in tracks:
+        here = counts & (index[1:] == track)
+        column = int(np.flatnonzero(here.any(axis=0))[0])
+        steps = np.flatnonzero(here[:, column])
+        looks = visible[steps, column]
+        seen += bool(looks.any())
+        longest = max(longest, int(longest_run(~looks[:, None])[0]))
+        lost += bool(not looks[-1] and np.sqrt(square[steps[-1], column]) > depth)
+    total = max(1, int(counts.sum()))
+    return ReplayRow(
+        method=method,
+        seed=ready.seed,
+        agent_start=ready.agent_start,
+        targets=len(tracks),
+        log_det_mean=float(np.asarray(trace.log_det, float)[counts].sum() / total),
+        seen_fraction=seen / max(1, len(tracks)),
+        seen_time_fraction=float(visible.sum() / total),
+        longest_unseen_s=longest * tau,
+        rmse_m=float(np.sqrt(square[counts].sum() / total)),
+        nees=float(nees[counts].sum() / total),
+        lost=lost,
+        step_time_s=step_time,
+    )
+
+
+def default_agent_start(recording: Recording, scenario: Scenario) -> list[float]:
+    """The middle of the recording's extent, heading along x."""
+    lower, upper = recording.extent
+    space = scenario.agent.agent().space
+    middle = jnp.asarray((lower + upper) / 2, float)
+    return space.to_numbers(space.upright(middle, jnp.zeros(())))
+
+
+def random_agent_starts(recording: Recording, scenario: Scenario, count: int, seed: int) -> list[list[float]]:
+    """Starts uniform in the recording's extent, with any heading."""
+    lower, upper = recording.extent
+    space, rng = scenario.agent.agent().space, np.random.default_rng([seed, count])
+    return [
+        space.to_numbers(
+            space.upright(jnp.asarray(rng.uniform(lower, upper), float), jnp.asarray(rng.uniform(-np.pi, np.pi)))
+        )
+        for _ in range(count)
+    ]
+
+
+def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap_s: float) -> list[str]:
+    """What a user should know before trusting the result: each a line."""
+    found = []
+    most, trained = int(slots.present.sum(axis=1).max()), scenario.scenes.targets_max
+    if most > trained:
+        found.append(f"up to {most} targets at once: the run's scenario goes up to {trained}")
+    if slots.dropped:
+        found.append(f"{slots.dropped} tracks fall between the control instants and are left out")
+    interval = median_fix_interval_s(recording)
+    if interval > max_gap_s:
+        found.append(
+            f"fixes are {interval:g} s apart, more than --max-gap {max_gap_s:g} s: targets are absent most of the time"
+        )
+    motion = scenario.problem().motion
+    if motion.state_size == scenario.dimension:
+        walk = float(np.trace(fit_statistics(recording, float(scenario.tau_s), float(max_gap_s)).walk_covariance_m2))
+        claimed = float(jnp.trace(motion.W))
+        if not walk / CONTRADICTION <= claimed <= walk * CONTRADICTION:
+            found.append(
+                f"targets move {walk**0.5:.2g} m (rms) per step, the scenario's W claims {claimed**0.5:.2g} m: "
+                "beliefs will be too sure or too vague; fit a scenario to this recording"
+            )
+    return found
+
+
+def result(rows: Sequence[ReplayRow], facts: dict[str, object]) -> dict[str, object]:
+    """The replay as JSON."""
+    return {**facts, "rows": [asdict(row) for row in rows]}

@@ -1,0 +1,141 @@
+"""The command line as a user meets it: help at once, one line for wrong input, files for programs, exit status."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from foveate.cli.main import main
+
+ROOT = Path(__file__).parents[2]
+CONTRACT = ROOT.parent / "shared" / "tools" / "contract.py"
+CSV = "time_s,track_id,x_m,y_m\n"
+
+
+def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that a command with wrong input prints."""
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    line = captured.err.strip()
+    assert line.startswith("foveate: ")
+    assert "\n" not in line
+    return line
+
+
+def check_contract(kind: str, path: Path) -> None:
+    if not CONTRACT.exists():
+        pytest.skip("the contract checker lies beside the repository, and is not here")
+    done = subprocess.run([sys.executable, str(CONTRACT), kind, str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three walkers that cross a square of 20 m, at 2 fixes a second, one of them late."""
+    path = tmp_path_factory.mktemp("recording") / "walkers.csv"
+    rows = []
+    for k in range(60):
+        t = 0.5 * k
+        rows.append(f"{t},a,{-10 + t},{2}\n")
+        rows.append(f"{t},b,{3},{10 - 0.7 * t}\n")
+        if k >= 20:
+            rows.append(f"{t},c,{5 - 0.5 * t},{-4}\n")
+    path.write_text(CSV + "".join(rows))
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fit -> train --config, with next to no training."""
+    folder = tmp_path_factory.mktemp("runs")
+    scenario = folder / "scenario.toml"
+    assert main(["fit", str(recording), "--out", str(scenario), "--end", "20"]) == 0
+    out = folder / "run"
+    assert main(["train", "--config", str(scenario), "--epochs", "2", "--episodes", "3", "--out", str(out)]) == 0
+    return out
+
+
+def test_help_needs_no_jax_and_names_every_command() -> None:
+    code = "import sys\nfrom foveate.cli.main import main\ntry:\n    main(['--help'])\nfinally:\n    print('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip().endswith("False")
+    for command in ("train", "evaluate", "fit", "replay"):
+        assert command in done.stdout
+
+
+def test_run_folder_holds_what_it_promises(run: Path) -> None:
+    names = {path.name for path in run.iterdir()}
+    assert {"config.toml", "metrics.jsonl", "checkpoint"} <= names
+    assert any(name.startswith("events.out.tfevents") for name in names)
+    check = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
+    assert check["epoch"] == 2
+
+
+def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path) -> None:
+    scenes = tmp_path / "scenes.json"
+    rows = [
+        {"id": "two", "agent": [0, 0, 0.5], "targets": [[1, 1], [-5, 2]], "drift": [[0.1, 0], [0, 0]], "horizon": 4},
+        {"id": "none", "agent": [0, 0, 0], "targets": []},
+    ]
+    scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": rows}))
+    out = tmp_path / "out.json"
+    again = tmp_path / "scenes-again.json"
+    arguments = ["--scenes", str(scenes), "--method", "policy", "nearest", "--episodes", "2"]
+    assert main(["evaluate", str(run), *arguments, "--json", str(out), "--write-scenes", str(again)]) == 0
+    data = json.loads(out.read_text())
+    assert len(data["rows"]) == 2 * 2 * 2 * 2
+    assert {row["score"] for row in data["rows"] if row["targets"] == 0} == {None}
+    assert {cell["motion"] for cell in data["summary"]} == {"biased"}
+    check_contract("evaluate", out)
+    check_contract("scenes", again)
+
+
+def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "replay"
+    assert (
+        main(["replay", str(run), str(recording), "--start", "20", "--method", "policy", "still", "--out", str(out)])
+        == 0
+    )
+    assert {path.name for path in out.iterdir()} == {"replay.json", "replay.png", "replay.gif"}
+    rows = json.loads((out / "replay.json").read_text())["rows"]
+    assert [row["method"] for row in rows] == ["policy", "still"]
+    assert [row["targets"] for row in rows] == [3, 3]
+    check_contract("replay", out / "replay.json")
+
+
+def test_wrong_input_is_one_line(
+    run: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text(CSV + "0,a,1,nan\n")
+    config = tmp_path / "bad.toml"
+    config.write_text('[scenario.view]\nshape = "triangle"\ndepth_m = 0.0\n')
+    unknown = tmp_path / "unknown.toml"
+    unknown.write_text("[training]\nepoch = 3\n")
+    assert "nowhere" in failure(capsys, "evaluate", "nowhere")
+    assert "presets are paper" in failure(capsys, "evaluate", "nowhere")
+    assert "train it" in failure(capsys, "evaluate", "best")
+    assert "expected one of" in failure(capsys, "evaluate", str(run), "--method", "psychic")
+    assert "--episodes 0" in failure(capsys, "evaluate", str(run), "--episodes", "0")
+    assert "bad.csv" in failure(capsys, "replay", str(run), str(bad))
+    assert "--agent-start 1,2" in failure(capsys, "replay", str(run), str(recording), "--agent-start", "1,2")
+    assert "spans" in failure(capsys, "replay", str(run), str(recording), "--start", "1000")
+    assert "depth_m = 0.0" in failure(capsys, "train", "--config", str(config), "--out", str(tmp_path / "x"))
+    assert "epochs" in failure(capsys, "train", "--config", str(unknown), "--out", str(tmp_path / "x"))
+    assert not (tmp_path / "x").exists()
+    assert "exists already" in failure(capsys, "train", "--out", str(run))
+    assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(run / "config.toml"))
+    assert "no folder" in failure(capsys, "evaluate", str(run), "--json", str(tmp_path / "no" / "x.json"))
+    assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
+
+
+def test_a_damaged_checkpoint_is_named(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    best = copy / "checkpoint" / "best.npz"
+    best.write_bytes(best.read_bytes()[:-100])
+    assert "best.npz" in failure(capsys, "evaluate", str(copy))

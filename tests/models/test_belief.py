@@ -1,0 +1,161 @@
+"""The information filter against a textbook covariance filter, filterpy's, and scipy's Gaussian."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.stats import multivariate_normal
+
+from foveate.models.belief import Belief, correct_mean, entropy, predict_information, update_information
+from foveate.models.target import LinearGaussian
+
+SHAPES = [(1, 1, 1), (2, 1, 2), (2, 2, 1), (3, 2, 2), (4, 2, 2), (5, 5, 3), (6, 3, 1)]
+"""n_y, n_z, m_y."""
+
+
+def covariance(rng, size, scale=1.0):
+    root = rng.normal(size=(size, size))
+    return scale * (root @ root.T + 0.2 * np.eye(size))
+
+
+class World:
+    """Random full matrices; A has spectral radius about 0.95, so that 50 steps stay in range."""
+
+    def __init__(self, n_y, n_z, m_y, singular=False):
+        rng = np.random.default_rng([n_y, n_z, m_y])
+        A = rng.normal(size=(n_y, n_y))
+        self.A = A * 0.95 / np.abs(np.linalg.eigvals(A)).max()
+        if singular:
+            left, values, right = np.linalg.svd(self.A)
+            values[-1] = 0.0
+            self.A = (left * values) @ right
+        self.B, self.H = rng.normal(size=(n_y, m_y)), rng.normal(size=(n_z, n_y))
+        self.W, self.V, self.prior = covariance(rng, n_y, 0.1), covariance(rng, n_z, 0.5), covariance(rng, n_y, 2.0)
+        self.mean = rng.normal(size=n_y)
+        self.inputs = rng.normal(size=(50, m_y))
+        self.measurements = rng.normal(size=(50, n_z)) * 3
+        self.visible = rng.random(50) < 0.4
+
+    def information_filter(self):
+        """What foveate makes of it: means and covariances after each of 50 steps."""
+        motion = LinearGaussian(*(jnp.asarray(x) for x in (self.A, self.B, self.W)), Z=jnp.eye(1, len(self.A)))
+        H, V = jnp.asarray(self.H), jnp.asarray(self.V)
+        gain = jnp.asarray(self.H.T @ np.linalg.solve(self.V, self.H))
+
+        def step(belief, now):
+            known_input, measurement, visible = now
+            predicted = Belief(
+                motion.advance(belief.mean, known_input), predict_information(belief.information, motion)
+            )
+            mean = jnp.where(visible, correct_mean(predicted, measurement, H, V), predicted.mean)
+            information = update_information(predicted.information, gain, visible.astype(float))
+            after = Belief(mean, information)
+            return after, after
+
+        first = Belief(jnp.asarray(self.mean), jnp.asarray(np.linalg.inv(self.prior)))
+        now = (jnp.asarray(self.inputs), jnp.asarray(self.measurements), jnp.asarray(self.visible))
+        beliefs = jax.jit(lambda: jax.lax.scan(step, first, now)[1])()
+        return np.asarray(beliefs.mean), np.linalg.inv(beliefs.information)
+
+    def textbook(self):
+        """Kalman (1960) in covariance form with Joseph's update."""
+        mean, P, means, covariances = self.mean, self.prior, [], []
+        for xi, z, visible in zip(self.inputs, self.measurements, self.visible, strict=True):
+            mean, P = self.A @ mean + self.B @ xi, self.A @ P @ self.A.T + self.W
+            if visible:
+                K = P @ self.H.T @ np.linalg.inv(self.H @ P @ self.H.T + self.V)
+                rest = np.eye(len(P)) - K @ self.H
+                mean, P = mean + K @ (z - self.H @ mean), rest @ P @ rest.T + K @ self.V @ K.T
+            means.append(mean)
+            covariances.append(P)
+        return np.array(means), np.array(covariances)
+
+    def filterpy(self):
+        other = KalmanFilter(dim_x=len(self.A), dim_z=len(self.H), dim_u=self.B.shape[1])
+        other.x, other.P = self.mean[:, None].copy(), self.prior.copy()
+        other.F, other.B, other.H, other.Q, other.R = self.A, self.B, self.H, self.W, self.V
+        means, covariances = [], []
+        for xi, z, visible in zip(self.inputs, self.measurements, self.visible, strict=True):
+            other.predict(u=xi[:, None])
+            if visible:
+                other.update(z[:, None])
+            means.append(other.x[:, 0].copy())
+            covariances.append(other.P.copy())
+        return np.array(means), np.array(covariances)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_equals_covariance_form_filters(shape):
+    world = World(*shape)
+    assert 5 < world.visible.sum() < 45
+    means, covariances = world.information_filter()
+    for oracle in (world.textbook, world.filterpy):
+        expected_means, expected_covariances = oracle()
+        np.testing.assert_allclose(means, expected_means, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(covariances, expected_covariances, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 2), (4, 2, 2)])
+def test_singular_motion(shape):
+    """The paper's printed form needs A^-1; W makes up for what A loses."""
+    world = World(*shape, singular=True)
+    assert np.linalg.matrix_rank(world.A) == shape[0] - 1
+    means, covariances = world.information_filter()
+    expected_means, expected_covariances = world.textbook()
+    np.testing.assert_allclose(means, expected_means, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(covariances, expected_covariances, rtol=1e-10, atol=1e-10)
+
+
+def long_run(motion, gain, prior, pattern):
+    """Information matrices after 10,000 steps of each pattern, in float32; also the worst asymmetry on the way."""
+
+    def step(information, visible):
+        ahead = jax.vmap(predict_information, (0, None))(information, motion)
+        after = jax.vmap(update_information, (0, None, 0))(ahead, gain, visible)
+        worst = jnp.max(jnp.abs(after - jnp.swapaxes(after, 1, 2)) / jnp.abs(after).max())
+        return after, (worst, jnp.linalg.eigvalsh(after)[:, 0])
+
+    first = jnp.broadcast_to(prior, (pattern.shape[1], *prior.shape))
+    return jax.jit(lambda: jax.lax.scan(step, first, pattern))()
+
+
+@pytest.mark.parametrize("n_y", [2, 4])
+def test_ten_thousand_steps_in_float32(n_y):
+    """Never seen, always seen, seen at random: symmetric and positive definite all along, and the right values.
+
+    n_y = 2: the paper's numbers. n_y = 4: positions and velocities (period 0.1 s), which couple.
+    """
+    eye = np.eye(2)
+    A, W = (eye, 0.05**2 * eye)
+    if n_y == 4:
+        A = np.block([[eye, 0.1 * eye], [0 * eye, 0.99 * eye]])
+        W = 0.3 * np.block([[eye * 0.1**3 / 3, eye * 0.1**2 / 2], [eye * 0.1**2 / 2, eye * 0.1]])
+    H = np.eye(2, n_y)
+    gain, prior = H.T @ H / 0.2**2, 0.5 * np.eye(n_y)
+    seen = np.random.default_rng(0).random(10_000) < 0.1
+    pattern = np.stack([np.zeros(10_000), np.ones(10_000), seen], axis=1)
+
+    A32, W32, gain32, prior32, pattern32 = (jnp.asarray(x, jnp.float32) for x in (A, W, gain, prior, pattern))
+    motion = LinearGaussian(A32, jnp.zeros((n_y, 1), jnp.float32), W32, jnp.asarray(H, jnp.float32))
+    last, (asymmetry, smallest) = long_run(motion, gain32, prior32, pattern32)
+    assert last.dtype == np.float32
+    assert asymmetry.max() < 1e-6
+    assert (np.asarray(smallest) > 0).all()
+
+    for k in range(3):  # the same in covariance form and float64
+        P = np.linalg.inv(prior)
+        for visible in pattern[:, k]:
+            P = A @ P @ A.T + W
+            if visible:
+                P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + 0.2**2 * eye, H @ P)
+        np.testing.assert_allclose(np.linalg.inv(np.asarray(last[k], float)), P, rtol=5e-3, atol=1e-4 * P.max())
+
+
+@pytest.mark.parametrize("n_y", [1, 2, 5])
+def test_entropy(n_y):
+    rng = np.random.default_rng(n_y)
+    P = covariance(rng, n_y)
+    log_det = -np.linalg.slogdet(P)[1]
+    expected = multivariate_normal(np.zeros(n_y), P).entropy()
+    assert float(entropy(jnp.asarray(log_det), n_y)) == pytest.approx(expected, abs=1e-10)

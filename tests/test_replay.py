@@ -1,0 +1,144 @@
+"""Replay against brute force: a plain loop over instants, tracks and geometry."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from foveate.policies.handmade import handmade
+from foveate.recorded import load_recording
+from foveate.replay import (
+    default_agent_start,
+    prepare_replay,
+    random_agent_starts,
+    replay,
+    warnings_for,
+)
+from foveate.scenario import DriftTarget, Scenario, SceneSettings, SectorView, SensorSettings
+
+DEPTH, ANGLE, TAU = 6.0, 90.0, 0.5
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return Scenario(
+        tau_s=TAU,
+        view=SectorView(depth_m=DEPTH, angle_deg=ANGLE),
+        sensor=SensorSettings(std_m=0.1),
+        target=DriftTarget(process_std_m=0.5),
+        scenes=SceneSettings(initial_error="consistent", targets_max=3, known_drift=False),
+    )
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory):
+    """a crosses the view, b stands behind the agent, c comes late and leaves, d has a gap of 5 s."""
+    rows = []
+    for k in range(81):
+        t = 0.25 * k
+        rows.append((t, "a", -8 + t, 1.0))
+        rows.append((t, "b", -4.0, 0.5 * math.sin(t)))
+        if 20 <= k <= 50:
+            rows.append((t, "c", 3.0, 3 - 0.2 * t))
+        if k <= 20 or k >= 40:
+            rows.append((t, "d", 5.0, -1.0 + 0.05 * t))
+    path = tmp_path_factory.mktemp("replay") / "r.csv"
+    path.write_text("time_s,track_id,x_m,y_m\n" + "".join(f"{t},{i},{x},{y}\n" for t, i, x, y in rows))
+    return load_recording(path)
+
+
+def inside(x: float, y: float) -> bool:
+    """In the sector ahead of an agent at the origin that looks along x."""
+    return math.hypot(x, y) <= DEPTH and abs(math.degrees(math.atan2(y, x))) <= ANGLE / 2
+
+
+def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> None:
+    ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
+    row, _ = replay(ready, "still", handmade("still", ready.problem))
+
+    position = {
+        "a": lambda t: (-8 + t, 1.0),
+        "b": lambda t: (-4.0, 0.0),
+        "c": lambda t: (3.0, 3 - 0.2 * t),
+        "d": lambda t: (5.0, -1.0 + 0.05 * t),
+    }
+    there = {"a": [(0, 20)], "b": [(0, 20)], "c": [(5, 12.5)], "d": [(0, 5), (10, 20)]}
+    looks, seen, longest = [], 0, 0
+    for name, spans in there.items():
+        mine = []
+        for first, last in spans:
+            # A step counts where the target was there before it and after it.
+            times = [TAU * k for k in range(1, 41) if first <= TAU * (k - 1) and TAU * k <= last]
+            mine.append([inside(*position[name](t)) for t in times])
+        run = 0
+        for look in [look for span in mine for look in span]:
+            run = 0 if look else run + 1
+            longest = max(longest, run)
+        looks += [look for span in mine for look in span]
+        seen += any(look for span in mine for look in span)
+    assert row.targets == 4
+    assert row.seen_time_fraction == pytest.approx(np.mean(looks))
+    assert row.seen_fraction == seen / 4
+    assert row.longest_unseen_s == pytest.approx(TAU * longest)
+
+
+def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
+    ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
+    row, trace = replay(ready, "still", handmade("still", ready.problem))
+    assert row.seen_time_fraction == 0.0
+    # Only a moves further than the depth of the view from where it was first believed to be.
+    assert row.lost == 1
+    assert row.longest_unseen_s == 20.0
+    # Nothing seen: log det falls as that of a random walk with the prior's variance at its start.
+    first = np.flatnonzero(ready.slots.track_ids == np.array("a"))[0]
+    column = int(np.argmax(ready.slots.track_index[0] == first))
+    variance = 2.0 + 0.25 * np.arange(1, 41)
+    np.testing.assert_allclose(trace.log_det[:, column], -2 * np.log(variance), rtol=1e-9)
+
+
+def test_every_belief_begins_anew_when_its_target_appears(scenario, recording) -> None:
+    ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
+    _, trace = replay(ready, "still", handmade("still", ready.problem))
+    index = ready.slots.track_index
+    begins = (index[1:] >= 0) & (index[1:] != index[:-1])
+    assert begins.sum() >= 2  # c, and d after its gap
+    np.testing.assert_allclose(trace.information[1:][begins], np.eye(2) / 2.0 * np.ones((begins.sum(), 1, 1)))
+    error = trace.mean[1:][begins] - ready.truth[1:][begins]
+    assert (np.abs(error) < 5 * math.sqrt(2.0)).all()
+    assert (np.abs(error) > 0).all()
+
+
+def test_methods_get_the_same_noise_and_seeds_differ(scenario, recording) -> None:
+    one = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, seed=1)
+    same = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, seed=1)
+    other = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, seed=2)
+    assert jnp.array_equal(one.episode.truth.measurement_noise, same.episode.truth.measurement_noise)
+    assert not jnp.array_equal(one.episode.truth.measurement_noise, other.episode.truth.measurement_noise)
+
+
+def test_starts(scenario, recording) -> None:
+    np.testing.assert_allclose(default_agent_start(recording, scenario), [2.0, 1.0, 0.0], atol=0.6)
+    lower, upper = recording.extent
+    starts = np.array(random_agent_starts(recording, scenario, 50, seed=3))
+    assert ((starts[:, :2] >= lower) & (starts[:, :2] <= upper)).all()
+    assert np.ptp(starts[:, 2]) > 5.0
+
+
+def test_warnings_say_what_contradicts(scenario, recording) -> None:
+    ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
+    said = " ".join(warnings_for(scenario, recording, ready.slots, 2.0))
+    assert "up to 4 targets at once" in said
+    tight = Scenario(
+        tau_s=TAU, target=DriftTarget(process_std_m=0.001), scenes=SceneSettings(targets_max=9, known_drift=False)
+    )
+    said = " ".join(warnings_for(tight, recording, ready.slots, 2.0))
+    assert "W claims" in said
+    assert "at once" not in said
+
+
+def test_dimensions_must_agree(scenario, tmp_path) -> None:
+    path = tmp_path / "space.csv"
+    path.write_text("time_s,track_id,x_m,y_m,z_m\n0,a,0,0,0\n1,a,0,0,1\n")
+    with pytest.raises(ValueError, match="positions have 3 numbers"):
+        prepare_replay(scenario, load_recording(path), [0.0, 0.0, 0.0])

@@ -1,0 +1,420 @@
+"""A complete episode, simulated again in plain numpy: unicycle, triangle, covariance-form Kalman filter, loops."""
+
+import functools
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from scipy.special import erf
+
+from foveate.geometry.fov import triangle
+from foveate.geometry.space import SPACES
+from foveate.models.agent import Agent
+from foveate.models.sensor import Sensor, Softness
+from foveate.models.target import LinearGaussian
+from foveate.policies.attention import AttentionSettings
+from foveate.problem import Arrivals, Episode, Policy, Problem, Truth
+from foveate.rollout import SURROGATE, TRUE, Protocol, log_dets, rollout
+
+MIXTURE = Protocol(levels=(Softness(1.0, 0.4), Softness(0.3, 0.25)))
+DEPTH, ANGLE = 2.0, 2 * np.pi / 3
+LOWER, UPPER = np.array([-0.5, -1.0]), np.array([2.0, 1.0])
+
+
+class Feedback(Policy):
+    """Depends on everything that a policy may see, smoothly: tanh of sums of sines over the present targets."""
+
+    weights: Any
+
+    def __call__(self, observation, memory, key):
+        o = observation
+        lower = o.information[:, *jnp.tril_indices(o.mean.shape[-1])]
+        each = jnp.concatenate([o.mean, lower / 20, o.known_input], axis=-1)
+        total = jnp.sum(jnp.where(o.present[:, None], jnp.sin(each), 0.0), axis=0)
+        features = jnp.concatenate([total, jnp.sin(o.pose), jnp.array([0.1 * o.step + memory])])
+        return jnp.tanh(self.weights @ features), memory + 0.01
+
+    def start(self, observation):
+        return jnp.sum(jnp.where(observation.present, observation.mean[:, 0], 0.0))
+
+
+@dataclass(frozen=True)
+class World:
+    """One problem and episode as numpy arrays, and the simulation that the real one is held against."""
+
+    A: np.ndarray
+    B: np.ndarray
+    W: np.ndarray
+    H: np.ndarray
+    V: np.ndarray
+    prior: np.ndarray
+    pose: np.ndarray
+    first_mean: np.ndarray  # K+1 n n_y; a belief that begins at k takes row k
+    inputs: np.ndarray
+    truth: np.ndarray | None
+    noise: np.ndarray
+    weights: np.ndarray
+    present: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # K+1 n, or empty: always, all
+    tau: float = 0.8
+    frame: Any = "world"
+    growth: float = 0.0
+
+    @property
+    def Z(self):
+        return np.eye(2, len(self.A))
+
+    def alive(self):
+        shape = self.first_mean.shape[:2]
+        return self.present if self.present.size else np.ones(shape, bool)
+
+    def policy(self):
+        return Feedback(jnp.asarray(self.weights))
+
+    def problem(self):
+        motion = LinearGaussian(*(jnp.asarray(x) for x in (self.A, self.B, self.W, self.Z)))
+        view = triangle(DEPTH, ANGLE)
+        sensor = Sensor(jnp.asarray(self.H), jnp.asarray(self.V), view, self.growth, self.frame)
+        agent = Agent(SPACES["planar"], (0, 2), jnp.asarray(LOWER), jnp.asarray(UPPER))
+        return Problem(agent, sensor, motion, jnp.asarray(self.tau), jnp.asarray(np.linalg.inv(self.prior)))
+
+    def episode(self):
+        alive = self.alive()
+        truth = None if self.truth is None else Truth(jnp.asarray(self.truth), jnp.asarray(self.noise))
+        arrivals = Arrivals(jnp.asarray(alive), jnp.asarray(self.first_mean)) if self.present.size else None
+        return Episode(
+            pose=jnp.asarray(self.pose),
+            mean=jnp.asarray(self.first_mean[0]),
+            present=jnp.asarray(alive[0]),
+            inputs=jnp.asarray(self.inputs),
+            horizon=jnp.asarray(len(self.inputs)),
+            truth=truth,
+            arrivals=arrivals,
+        )
+
+    def act(self, step, pose, means, informations, known_input, present, memory):
+        """`Feedback` in numpy."""
+        total = 0.0
+        for j in np.flatnonzero(present):
+            packed = [informations[j][a, b] for a in range(len(self.A)) for b in range(a + 1)]
+            total = total + np.sin(np.concatenate([means[j], np.array(packed) / 20, known_input[j]]))
+        features = np.concatenate([total, np.sin(pose), [0.1 * step + memory + 0.01 * step]])
+        action = np.tanh(self.weights @ features)
+        return action, LOWER + (action + 1) / 2 * (UPPER - LOWER)
+
+    def covariance(self, yaw, point_body):
+        R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        V = R @ self.V @ R.T if self.frame == "body" else self.V
+        return V * (1 + self.growth * np.hypot(*point_body)) ** 2
+
+    def simulate(self, levels):
+        """pose, action, mean, covariance (per level), visible, of every step; NaN where a target is not there."""
+        K, n = self.inputs.shape[:2]
+        alive, weights_of = self.alive(), [lambda d, c=level: soft_weight(d, *c) for level in levels]
+        mean = [self.first_mean[0, j] for j in range(n)]
+        P = [[self.prior] * n for _ in (levels or [None])]
+        pose, poses, actions = self.pose, [self.pose], []
+        means, covariances, looks = [np.array(mean)], [np.array(P)], []
+        memory = sum((self.A @ mean[j] + self.B @ self.inputs[0, j])[0] for j in range(n) if alive[0, j])
+        for k in range(K):
+            predicted = [self.A @ mean[j] + self.B @ self.inputs[k, j] for j in range(n)]
+            P = [[self.A @ Pj @ self.A.T + self.W for Pj in level] for level in P]
+            informations = [np.linalg.inv(Pj) for Pj in P[-1]]
+            action, (v, w) = self.act(k, pose, predicted, informations, self.inputs[k], alive[k], memory)
+            pose = unicycle(pose, v, w, self.tau)
+            look = np.zeros(n, bool)
+            mean = list(predicted)
+            for j in range(n):
+                point = to_body(pose, predicted[j][:2])
+                V = self.covariance(pose[2], point)
+                if self.truth is not None and alive[k, j] and alive[k + 1, j]:
+                    true_point = to_body(pose, self.truth[k + 1, j, :2])
+                    look[j] = in_triangle(true_point)
+                    if look[j]:
+                        root = np.linalg.cholesky(self.covariance(pose[2], true_point))
+                        z = self.H @ self.truth[k + 1, j] + root @ self.noise[k, j]
+                        S = self.H @ P[-1][j] @ self.H.T + V
+                        mean[j] = mean[j] + P[-1][j] @ self.H.T @ np.linalg.solve(S, z - self.H @ mean[j])
+                weights = [f(triangle_distance(point)) for f in weights_of] if levels else [float(look[j])]
+                for level, weight in zip(P, weights, strict=True):
+                    if weight > 1e-300:  # a measurement whose noise is V / weight
+                        gain = level[j] @ self.H.T @ np.linalg.inv(self.H @ level[j] @ self.H.T + V / weight)
+                        level[j] = level[j] - gain @ self.H @ level[j]
+                if alive[k + 1, j] and not alive[k, j]:
+                    mean[j] = self.first_mean[k + 1, j]
+                    for level in P:
+                        level[j] = self.prior
+            poses.append(pose)
+            actions.append(action)
+            means.append(np.array(mean))
+            covariances.append(np.array(P))
+            looks.append(look)
+        return tuple(map(np.array, (poses, actions, means, covariances, looks)))
+
+
+def unicycle(pose, v, w, tau):
+    x, y, yaw = pose
+    end = yaw + w * tau
+    if abs(w) < 1e-9:
+        return np.array([x + tau * v * np.cos(yaw), y + tau * v * np.sin(yaw), end])
+    return np.array([x + v / w * (np.sin(end) - np.sin(yaw)), y - v / w * (np.cos(end) - np.cos(yaw)), end])
+
+
+def to_body(pose, point):
+    dx, dy = point - pose[:2]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array([c * dx + s * dy, c * dy - s * dx])
+
+
+def in_triangle(point):
+    return 0 <= point[0] <= DEPTH and abs(point[1]) <= point[0] * np.tan(ANGLE / 2)
+
+
+def triangle_distance(point):
+    half = DEPTH * np.tan(ANGLE / 2)
+    corners = [np.zeros(2), np.array([DEPTH, -half]), np.array([DEPTH, half])]
+    nearest = np.inf
+    for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
+        along = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        nearest = min(nearest, np.linalg.norm(point - a - along * (b - a)))
+    return -nearest if in_triangle(point) else nearest
+
+
+def soft_weight(distance, offset, kappa):
+    """1 - Phi as the paper prints Phi."""
+    return 1 - 0.5 * (1 + erf(distance / (np.sqrt(2) * kappa) - offset))
+
+
+def world(n_y=2, n=3, K=14, seed=0, **changes):
+    """n_y = 2: the paper's kind of target. n_y = 4: full matrices, A singular, noise in the body frame that grows."""
+    rng = np.random.default_rng([seed, n_y])
+    A, B, W, H = np.eye(2), np.eye(2), 0.05**2 * np.eye(2), np.eye(2)
+    V, prior = 0.2**2 * np.eye(2), 2.0 * np.eye(2)
+    if n_y == 4:
+        A = np.eye(4) + 0.3 * rng.normal(size=(4, 4))
+        A[3] = A[2]
+        A[:, 2:] *= 0.5
+        A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+        B = rng.normal(size=(4, 3))
+        root = 0.2 * rng.normal(size=(4, 4))
+        W, H = root @ root.T + 0.01 * np.eye(4), np.eye(2, 4)
+        V, prior = np.array([[0.05, 0.02], [0.02, 0.2]]), 2 * np.eye(4) + 0.3
+        changes = {"frame": "body", "growth": 0.4, **changes}
+    inputs = rng.uniform(-0.3, 0.3, (K, n, B.shape[1]))
+    truth = [np.concatenate([rng.uniform(-2, 2, (n, 2)), rng.normal(size=(n, n_y - 2))], axis=1)]
+    for xi in inputs:
+        truth.append(truth[-1] @ A.T + xi @ B.T + rng.multivariate_normal(np.zeros(n_y), W, n))
+    truth = np.array(truth)
+    features = n_y + n_y * (n_y + 1) // 2 + B.shape[1] + 3 + 1
+    return World(
+        *(A, B, W, H, V, prior),
+        pose=np.array([0.2, -0.4, 2.0]),
+        first_mean=truth + 0.3 * rng.normal(size=truth.shape),
+        inputs=inputs,
+        truth=truth,
+        noise=rng.normal(size=(K, n, len(H))),
+        weights=0.5 * rng.normal(size=(2, features)),
+        **changes,
+    )
+
+
+@functools.cache
+def compiled():
+    """One function for all tests: jit keeps a program for each structure that it meets."""
+
+    @eqx.filter_jit
+    def run(problem, policy, episode, protocol):
+        key = jax.random.key(0)
+        return rollout(problem, policy, episode, protocol, key), log_dets(problem, policy, episode, protocol, key)
+
+    return run
+
+
+def check(case, protocol, where=None):
+    """Everything in the trace against the numpy simulation, where the targets are there."""
+    trace, objective = compiled()(case.problem(), case.policy(), case.episode(), protocol)
+    levels = [tuple(level) for level in protocol.levels]
+    pose, action, mean, covariance, visible = case.simulate(levels)
+    there = case.alive() if where is None else where
+    tolerance = {"rtol": 1e-9, "atol": 1e-9}
+    np.testing.assert_allclose(trace.pose, pose, **tolerance)
+    np.testing.assert_allclose(trace.action, action, **tolerance)
+    np.testing.assert_allclose(np.asarray(trace.mean)[there], mean[there], **tolerance)
+    information = np.linalg.inv(covariance[:, -1])
+    np.testing.assert_allclose(np.asarray(trace.information)[there], information[there], **tolerance)
+    np.testing.assert_array_equal(np.asarray(trace.visible)[there[1:]], visible[there[1:]])
+    log_det = -np.linalg.slogdet(covariance[1:])[1]
+    np.testing.assert_allclose(np.asarray(trace.log_det)[there[1:]], log_det[:, -1][there[1:]], **tolerance)
+    np.testing.assert_allclose(np.asarray(objective)[there[1:]], log_det.mean(axis=1)[there[1:]], **tolerance)
+    np.testing.assert_array_equal(np.asarray(trace.present)[:, : there.shape[1]], there)
+    return trace, visible
+
+
+@pytest.mark.parametrize("n_y", [2, 4])
+@pytest.mark.parametrize("protocol", [TRUE, SURROGATE, MIXTURE], ids=["true", "surrogate", "mixture"])
+def test_an_episode_with_truth(n_y, protocol):
+    _, visible = check(world(n_y), protocol)
+    share = visible.mean()
+    assert 0.1 < share < 0.9, "an episode in which all or nothing is seen shows too little"
+
+
+@pytest.mark.parametrize("protocol", [SURROGATE, MIXTURE], ids=["surrogate", "mixture"])
+def test_without_truth_the_mean_is_never_corrected(protocol):
+    case = replace(world(2), truth=None)
+    trace, visible = check(case, protocol)
+    assert not visible.any()
+    np.testing.assert_allclose(trace.mean[-1], case.first_mean[0] + case.inputs.sum(axis=0), atol=1e-12)
+
+
+def test_the_policy_sees_the_last_level():
+    """The numpy policy acted on the last level's information above; on the first one's it would act otherwise."""
+    case = world(2)
+    trace, _ = compiled()(case.problem(), case.policy(), case.episode(), MIXTURE)
+    swapped, _ = compiled()(case.problem(), case.policy(), case.episode(), Protocol(MIXTURE.levels[::-1]))
+    assert np.abs(trace.action - swapped.action).max() > 1e-3
+
+
+def test_the_mean_is_corrected_from_the_same_measurements_under_both_protocols():
+    """With actions that do not depend on the belief, the world is the same; only the gain differs."""
+    case = world(2)
+    case = replace(case, weights=case.weights * (np.arange(case.weights.shape[1]) >= 7))  # pose and time only
+    for protocol in (TRUE, SURROGATE):
+        check(case, protocol)
+
+
+def test_padding_changes_nothing():
+    case, wide = world(2), world(2, n=5, K=18, seed=9)
+    K, n = case.inputs.shape[:2]
+    rows, steps = (slice(0, n),), slice(0, K)
+    first_mean, inputs = wide.first_mean.copy(), wide.inputs.copy()
+    truth, noise = wide.truth.copy(), wide.noise.copy()
+    first_mean[: K + 1, *rows], truth[: K + 1, *rows] = case.first_mean, case.truth
+    inputs[steps, *rows], noise[steps, *rows] = case.inputs, case.noise
+    padded = replace(case, first_mean=first_mean, inputs=inputs, truth=truth, noise=noise)
+    present = jnp.arange(5) < n
+    for protocol in (TRUE, MIXTURE):
+        trace, objective = compiled()(case.problem(), case.policy(), case.episode(), protocol)
+        episode = eqx.tree_at(lambda e: (e.present, e.horizon), padded.episode(), (present, jnp.asarray(K)))
+        longer, longer_objective = compiled()(case.problem(), case.policy(), episode, protocol)
+        for name in ("pose", "action", "mean", "information", "log_det", "visible"):
+            real, also = np.asarray(getattr(trace, name)), np.asarray(getattr(longer, name))
+            also = also[: len(real)] if name in ("pose", "action") else also[: len(real), :n]
+            np.testing.assert_allclose(also, real, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(longer_objective[:K, :n], objective, rtol=1e-12, atol=1e-12)
+        assert not np.asarray(longer.visible)[:, n:].any(), "padding is never measured"
+        assert np.isfinite(longer_objective).all()
+
+
+@pytest.mark.parametrize("protocol", [TRUE, MIXTURE], ids=["true", "mixture"])
+def test_targets_that_come_and_go(protocol):
+    """Column 0 serves two targets in turn; 1 comes late; 2 leaves; 3 was always there; 4 comes for one instant."""
+    case = world(2, n=5, K=14, seed=3)
+    present = np.zeros((15, 5), bool)
+    for column, first, last in [(0, 0, 5), (0, 8, 14), (1, 3, 14), (2, 0, 6), (3, 0, 14), (4, 9, 9)]:
+        present[first : last + 1, column] = True
+    case = replace(case, present=present)
+    trace, visible = check(case, protocol)
+    looks = np.asarray(trace.visible)
+    assert not looks[~(present[1:] & present[:-1])].any(), "measured before it came or after it went"
+    assert looks[:, [0, 1, 2]].any(axis=0).all(), "each should be measured at some time"
+    for column, first in [(0, 8), (1, 3), (4, 9)]:
+        np.testing.assert_array_equal(trace.mean[first, column], case.first_mean[first, column])
+        np.testing.assert_allclose(trace.information[first, column], np.linalg.inv(case.prior), atol=1e-15)
+
+
+def test_a_late_target_equals_an_episode_of_its_own():
+    """From its first instant on: the same beliefs as in an episode that begins there, with the same commands."""
+    case = world(2, n=2, K=14, seed=5)
+    present = np.ones((15, 2), bool)
+    present[:6, 1] = False
+    case = replace(case, present=present, weights=case.weights * (np.arange(case.weights.shape[1]) == 8))
+    trace, _ = compiled()(case.problem(), case.policy(), case.episode(), TRUE)
+    own = replace(
+        case,
+        present=np.zeros(0, bool),
+        pose=np.asarray(trace.pose[6]),
+        first_mean=case.first_mean[6:, 1:],
+        inputs=case.inputs[6:, 1:],
+        truth=case.truth[6:, 1:],
+        noise=case.noise[6:, 1:],
+    )
+    alone, _ = compiled()(own.problem(), own.policy(), own.episode(), TRUE)
+    np.testing.assert_allclose(alone.pose, trace.pose[6:], atol=1e-12)
+    assert alone.visible.any()
+    np.testing.assert_allclose(alone.mean[:, 0], trace.mean[6:, 1], atol=1e-12)
+    np.testing.assert_allclose(alone.information[:, 0], trace.information[6:, 1], rtol=1e-12)
+
+
+def test_float32_stays_float32_and_near():
+    case = world(2)
+
+    def single(tree):
+        def narrow(x):
+            return x.astype(jnp.float32) if eqx.is_array(x) and x.dtype == jnp.float64 else x
+
+        return jax.tree.map(narrow, tree)
+
+    parts = case.problem(), case.policy(), case.episode()
+    trace, objective = compiled()(*parts, MIXTURE)
+    narrow, narrow_objective = compiled()(*(single(x) for x in parts), MIXTURE)
+    assert narrow.information.dtype == narrow.mean.dtype == narrow.pose.dtype == narrow_objective.dtype == np.float32
+    np.testing.assert_allclose(narrow.pose, trace.pose, atol=1e-3)
+    np.testing.assert_allclose(narrow_objective, objective, atol=1e-2)
+
+
+def central_differences(function, weights, places, step=1e-6):
+    """d function / d weights[place] for a few places, from a compiled function of the weights."""
+    result = []
+    for place in places:
+        ahead, behind = weights.copy(), weights.copy()
+        ahead[place] += step
+        behind[place] -= step
+        result.append((float(function(ahead)) - float(function(behind))) / (2 * step))
+    return np.array(result)
+
+
+@pytest.mark.parametrize("straight", [False, True], ids=["turning", "yaw rate exactly 0"])
+@pytest.mark.parametrize("truth", [False, True], ids=["noise-free", "noisy"])
+def test_gradient_of_log_dets(straight, truth):
+    case = world(2, n=2, K=6)
+    case = case if truth else replace(case, truth=None)
+    weights = np.zeros_like(case.weights) if straight else case.weights
+    problem, episode, key = case.problem(), case.episode(), jax.random.key(0)
+
+    @jax.jit
+    def earned(weights):
+        return jnp.sum(log_dets(problem, Feedback(weights), episode, MIXTURE, key))
+
+    if straight:
+        trace, _ = compiled()(problem, Feedback(jnp.asarray(weights)), episode, MIXTURE)
+        np.testing.assert_array_equal(trace.pose[:, 2], case.pose[2])
+    gradient = np.asarray(jax.jit(jax.grad(earned))(weights))
+    places = [(0, 0), (1, 0), (0, 3), (1, 4), (1, 7), (0, 9), (1, 10)]
+    expected = central_differences(earned, weights, places)
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(
+        [gradient[place] for place in places], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max()
+    )
+
+
+def test_gradient_through_the_papers_network():
+    case = replace(world(2, n=2, K=6), truth=None)
+    problem, episode, key = case.problem(), case.episode(), jax.random.key(0)
+    settings = AttentionSettings(agent_widths=(4, 4), target_widths=(6, 4), out_widths=(5,), frame="world")
+    parameters, rest = eqx.partition(settings.policy(problem, jax.random.key(3)), eqx.is_inexact_array)
+    flat, unflatten = ravel_pytree(parameters)
+
+    @jax.jit
+    def earned(flat):
+        policy = eqx.combine(unflatten(flat), rest)
+        return jnp.sum(log_dets(problem, policy, episode, SURROGATE, key)[-1])
+
+    gradient = np.asarray(jax.jit(jax.grad(earned))(flat))
+    places = [int(i) for i in np.argsort(-np.abs(gradient))[:8]] + [0, len(gradient) - 1]
+    expected = central_differences(earned, np.array(flat), places)
+    assert np.abs(expected).max() > 1e-3
+    np.testing.assert_allclose(gradient[places], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
