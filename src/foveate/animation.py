@@ -21,7 +21,7 @@ from foveate.film import SUBSTEPS, Film
 
 MAX_FRAMES = 150
 DPI = 100
-COLORS = 96
+COLORS = 128
 HOLD_S = 1.5
 """How long the last frame stands before the animation begins again."""
 TRAIL_STEPS = 40
@@ -87,21 +87,21 @@ def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Arti
     """Everything on the figure: the artists that move, and what moves them."""
     width, height = size
     # The map is a square as high as there is room for; the curves take what is left.
-    bottom, top, left = 80 / height, 1 - 36 / height, 46 / width
-    side = min((top - bottom) * height, 0.56 * width)
+    bottom, top, left = 82 / height, 1 - 60 / height, 56 / width
+    side = min((top - bottom) * height, 0.54 * width)
     ground = figure.add_axes((left, bottom, side / width, side / height))
     start = left + (side + 62) / width
     curves = figure.add_axes((start, bottom, 1 - start - 14 / width, side / height))
     stage = Stage(ground, film, limits([film]), trail=TRAIL_STEPS, scale=1.15)
     clean(ground, 9)
-    ground.set_xlabel("x [m]", fontsize=9, labelpad=1)
-    ground.set_ylabel("y [m]", fontsize=9, labelpad=1)
+    ground.set_xlabel("x [m]", fontsize=9, labelpad=2)
+    ground.set_ylabel("y [m]", fontsize=9, labelpad=2)
     figure.text(14 / width, 1 - 12 / height, describe(film), fontsize=11, fontweight="bold", va="top")
-    clock = figure.text(1 - 14 / width, 1 - 12 / height, "", fontsize=10, va="top", ha="right")
+    clock = figure.text(left, bottom + (side + 7) / height, "", fontsize=10)
     lines, show_curves = _curves(curves, film)
-    handles = legend_entries()
-    style = {"fontsize": 9, "frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}
-    figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 8 / height), ncols=5, **style)
+    style = {"frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}
+    place = {"loc": "lower center", "bbox_to_anchor": (0.5, 8 / height), "ncols": 5}
+    figure.legend(handles=legend_entries(), fontsize=min(9.0, width / 100), **place, **style)
 
     def show(moment: int) -> None:
         stage.show(moment)
@@ -109,7 +109,7 @@ def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Arti
         k = moment // SUBSTEPS
         here = film.present[k]
         now = f"sees {(film.seen_at(k) & here).sum()} of {here.sum()} now"
-        clock.set_text(f"t = {moment / SUBSTEPS * film.tau_s:.1f} s   {now}")
+        clock.set_text(f"t = {moment / SUBSTEPS * film.tau_s:.1f} s: {now}")
 
     return [*stage.artists, *lines, clock], show
 
@@ -130,18 +130,19 @@ def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
     axes.grid(color=PALE, lw=0.6)
     axes.set_axisbelow(True)
     clean(axes, 9)
-    axes.set_xlabel("time [s]", fontsize=9, labelpad=1)
-    axes.set_ylabel("log det of information [nat]", fontsize=9, labelpad=1)
-    each = axes.add_line(Line2D([], [], color=GREY, lw=1.0))
-    dots = axes.add_line(Line2D([], [], color=SEEN, ls="none", marker="o", ms=4 if film.steps <= 60 else 2))
-    average = axes.add_line(Line2D([], [], color=BLACK, lw=2.0))
+    axes.set_xlabel("time [s]", fontsize=9, labelpad=2)
+    axes.set_ylabel("log det of information [nat]", fontsize=9, labelpad=2)
+    short = film.steps <= 60
+    each = axes.add_line(Line2D([], [], color=GREY, lw=1.0 if short else 0.5))
+    dots = axes.add_line(Line2D([], [], color=SEEN, ls="none", marker="o", ms=4 if short else 2))
+    average = axes.add_line(Line2D([], [], color=BLACK, lw=2.0 if short else 1.0))
     handles = [
         Line2D([], [], color=GREY, lw=1.0, label="one target"),
         Line2D([], [], color=SEEN, ls="none", marker="o", ms=4, label="seen"),
         Line2D([], [], color=BLACK, lw=2.0, label="mean"),
     ]
     style = {"fontsize": 9, "frameon": False, "handlelength": 1.4, "borderpad": 0, "columnspacing": 1.2}
-    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.005), ncols=3, **style)
+    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.01), ncols=3, **style)
 
     def show(moment: int) -> None:
         k = moment // SUBSTEPS
@@ -153,9 +154,19 @@ def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
 
 
 def _gif(frames: list[np.ndarray], fps: int) -> bytes:
-    """All frames with one palette, taken from the first, the middle and the last."""
-    sample = np.concatenate([frames[i] for i in (0, len(frames) // 2, -1)])
-    palette = Image.fromarray(sample).quantize(COLORS, Image.Quantize.MAXCOVERAGE)
+    """All frames with one palette: the colours that fill most of a few of them.
+
+    Each that means something fills a patch of the legend, and so is among them; Pillow's own choice, an average, may
+    merge pale tints.
+    """
+    sample = np.concatenate([frames[i] for i in np.linspace(0, len(frames) - 1, 5).astype(int)]).astype(np.uint32)
+    colors, counts = np.unique(sample @ np.array([65536, 256, 1], np.uint32), return_counts=True)
+    colors = colors[np.argsort(-counts, kind="stable")]
+    # One of each cube of 8 x 8 x 8: Pillow looks no closer, and white must not become what is nearly white.
+    _, first = np.unique(colors & 0xF8F8F8, return_index=True)
+    most = colors[np.sort(first)[:COLORS]]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.stack([most >> 16, most >> 8 & 255, most & 255], axis=1).astype(np.uint8).tobytes())
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     hold = [round(1000 / fps)] * (len(images) - 1) + [round(1000 * HOLD_S)]
     buffer = io.BytesIO()

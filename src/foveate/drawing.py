@@ -93,10 +93,8 @@ class Stage:
             return axes.add_line(Line2D([], [], color=color, **style))
 
         blank = np.zeros((3, 2))
-        self.views = [
-            axes.add_patch(Polygon(blank, facecolor=SKY + "55", edgecolor=AGENT, lw=0.7 * scale, zorder=1))
-            for _ in film.outline
-        ]
+        border = {"facecolor": SKY + "55", "edgecolor": AGENT, "lw": 0.7 * scale}
+        self.views = [Polygon(blank, zorder=1, **border) for _ in film.outline]
         self.path = line(AGENT, lw=1.4 * scale, zorder=2)
         self.trails = line(GREY, lw=0.9 * scale, zorder=2)
         self.unseen = PolyCollection([], facecolors=UNSEEN + "22", edgecolors=UNSEEN, zorder=3)
@@ -108,7 +106,9 @@ class Stage:
         self.unseen_means = line(UNSEEN, zorder=4, **cross)
         self.seen_means = line(SEEN, zorder=6, **cross)
         self.targets = line(BLACK, ls="none", marker="s", ms=2.8 * scale, zorder=7)
-        self.agent = axes.add_patch(Polygon(blank, facecolor=AGENT, edgecolor="white", lw=0.4 * scale, zorder=8))
+        self.agent = Polygon(blank, facecolor=AGENT, edgecolor="white", lw=0.4 * scale, zorder=8)
+        for patch in (*self.views, self.agent):
+            axes.add_patch(patch)
 
     @property
     def artists(self) -> list[Artist]:
@@ -158,10 +158,14 @@ def legend_entries() -> list[Artist]:
 
 
 def describe(film: Film) -> str:
-    """Title, number of targets and score, as far as there are any."""
-    count = "no target" if not film.targets else f"{film.targets} target{'s' * (film.targets > 1)}"
-    score = [] if film.score is None else [f"score {film.score:.2f}"]
-    return " · ".join([*([film.title] if film.title else []), count, *score])
+    """Title, number of targets, and how well they were kept: the score, or where they come and go the share seen."""
+    most = int(film.present.sum(axis=1).max())
+    count = f"{most or 'no'} target{'s' * (most > 1)}"
+    if not film.present.all():
+        facts = [f"up to {count} at once", f"seen {film.seen_share:.1%} of their time"]
+    else:
+        facts = [count] if film.score is None else [count, f"score {film.score:.2f}"]
+    return " · ".join([film.title, *facts] if film.title else facts)
 
 
 def clean(axes: Axes, size: float = 8.0) -> None:

@@ -192,14 +192,15 @@ def scene_episodes(
             part = (row, slice(here)) if name == "first" else (row, slice(scene.horizon), slice(here))
             noise[name][part] = value
     as_float = {name: jnp.asarray(value, float) for name, value in noise.items()}
-    stacked = Drawn(
-        pose=jnp.stack(drawn["pose"]),
-        position=jnp.asarray(drawn["position"], float),
-        drift=jnp.asarray(drawn["drift"], float),
-        present=jnp.asarray(drawn["present"]),
-        horizon=jnp.asarray(drawn["horizon"]),
-    )
-    return jax.jit(jax.vmap(lambda s, e: episode_of(problem, settings, s, e)))(stacked, Noise(**as_float))
+    stacked = {
+        "pose": jnp.stack(drawn["pose"]),
+        "position": jnp.asarray(drawn["position"], float),
+        "drift": jnp.asarray(drawn["drift"], float),
+        "present": jnp.asarray(drawn["present"]),
+        "horizon": jnp.asarray(drawn["horizon"]),
+    }
+    one = jax.vmap(lambda scene, chance: episode_of(problem, settings, Drawn(**scene), Noise(**chance)))
+    return jax.jit(one)(stacked, as_float)
 
 
 def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, count: int, biased: bool) -> list[Scene]:

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from foveate.drawing import (
     AGENT,
@@ -62,7 +63,7 @@ def trajectory_figure(films: Sequence[Film], path: Path) -> None:
             axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
         figure.axes[-COLUMNS].set_ylabel("y [m]", fontsize=8.5, labelpad=3)
     for axes in figure.axes[-COLUMNS:]:
-        axes.set_xlabel("x [m]", fontsize=8.5, labelpad=1)
+        axes.set_xlabel("x [m]", fontsize=8.5, labelpad=3)
     figure.legend(handles=legend_entries(), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
     save(figure, path)
 
@@ -82,21 +83,19 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     if not files:
         raise ValueError("no run to draw: expected at least one")
     histories = [read_checks(file) for file in files]
-    figure = new_figure(WIDTH, 4.0)
+    figure = new_figure(WIDTH, 4.0 + 0.07 * len(files))
     axes = figure.subplots()
     single = len(files) == 1
     for file, checks, color in zip(files, histories, _colors(len(files)), strict=True):
         epochs = [check.epoch for check in checks]
-        label = "" if single else f"{file.parent.name} ({checks[-1].elapsed_s:.0f} s)"
         axes.plot(epochs, [check.objective for check in checks], color=color, lw=0.9, alpha=0.6)
-        axes.plot(epochs, [check.held_out for check in checks], color=color, lw=2, label=label or None)
+        label = "held-out score" if single else file.resolve().parent.name
         # As training does: the last that was the best when it was made.
-        best = [check for check in checks if check.best]
-        for check in best[-1:]:
+        for check in [check for check in checks if check.best][-1:]:
             axes.plot(check.epoch, check.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
-            note = f"{check.held_out:.2f}"
-            offset = {"xytext": (0, 8), "textcoords": "offset points", "ha": "center", "fontsize": 9}
-            axes.annotate(note, (check.epoch, check.held_out), color=color, fontweight="bold", **offset)
+            label += f": best {check.held_out:.2f} at epoch {check.epoch}"
+        label += "" if single else f", {checks[-1].elapsed_s:.0f} s"
+        axes.plot(epochs, [check.held_out for check in checks], color=color, lw=2, label=label)
         for check in checks:
             if check.event:
                 axes.axvline(check.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
@@ -108,8 +107,8 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     if single:
         _seconds_on_top(axes, histories[0])
     collapsed = any(check.event for checks in histories for check in checks)
-    handles = _curve_legend(single, collapsed) + axes.get_legend_handles_labels()[0]
-    axes.legend(handles=handles, fontsize=9, frameon=False, loc="lower right")
+    handles = axes.get_legend_handles_labels()[0] + _curve_legend(single, collapsed)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4 if single else 3, fontsize=9, frameon=False)
     save(figure, path)
 
 
@@ -136,10 +135,11 @@ def _colors(count: int) -> list[str]:
 def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
     color = CYCLE[0] if single else GREY
     entries = [
-        Line2D([], [], color=color, lw=2, label="held-out score"),
         Line2D([], [], color=color, lw=0.9, alpha=0.6, label="training objective"),
         Line2D([], [], color=color, ls="none", marker="*", ms=11, label="best, kept"),
     ]
+    if not single:
+        entries.insert(0, Line2D([], [], color=color, lw=2, label="held-out score"))
     if collapsed:
         entries.append(Line2D([], [], color=VERMILLION if single else GREY, ls=":", lw=1.2, label="collapse, return"))
     return entries
@@ -161,8 +161,9 @@ def replay_figure(films: Mapping[str, Film], path: Path) -> None:
     """A recording as several methods saw it; map and timeline are those of the first.
 
     Left, the map: every target's track in grey, in colour while it was seen, and the agent's path from the triangle
-    on. Right, the timeline: one row a column of targets, light while one is there, dark while it is seen;
-    below it the share of all target time that each method saw. Raises ValueError for films in space, or none.
+    on. Right, the timeline: one row a slot, which holds one target after another, light while one is there, dark
+    while it is seen; below it the share of all target time that each method saw. Raises ValueError for films in
+    space, or none.
     """
     if not films:
         raise ValueError("no film to draw: expected at least one")
@@ -170,7 +171,7 @@ def replay_figure(films: Mapping[str, Film], path: Path) -> None:
     film.require_planar()
     bars = 0.26 * len(films) + 0.25
     figure = new_figure(WIDTH, max(4.4, 2.9 + bars))
-    left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.0))
+    left, right = figure.subfigures(1, 2, squeeze=False)[0]
     _map(left.subplots(), film, name)
     timeline, shares = right.subplots(2, 1, height_ratios=(max(4.4, 2.9 + bars) - 0.9 - bars, bars))
     _timeline(timeline, film, name)
@@ -179,7 +180,7 @@ def replay_figure(films: Mapping[str, Film], path: Path) -> None:
         Line2D([], [], color=AGENT, lw=1.3, marker=">", ms=5, label=f"agent ({name})"),
         Line2D([], [], color=GREY, lw=0.8, label="target"),
         Line2D([], [], color=SEEN, lw=2.2, label="target while seen"),
-        Patch(facecolor=PALE, label="target there"),
+        Patch(facecolor=PALE, label="target present"),
         Patch(facecolor=SEEN, label="seen"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
@@ -197,7 +198,7 @@ def _map(axes: Axes, film: Film, name: str) -> None:
     axes.plot(*arc[0, :2], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
     axes.set_aspect("equal", adjustable="datalim")
     clean(axes)
-    axes.set_xlabel("x [m]", fontsize=8.5, labelpad=1)
+    axes.set_xlabel("x [m]", fontsize=8.5, labelpad=3)
     axes.set_ylabel("y [m]", fontsize=8.5, labelpad=3)
     axes.set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
 
@@ -208,21 +209,21 @@ def _timeline(axes: Axes, film: Film, name: str) -> None:
     for column in range(film.targets):
         for which, color, edge in ((there, PALE, 0.0), (seen, SEEN, 0.5)):
             # The edge keeps a glimpse of one step visible where a step is less than a pixel.
-            spans = film.tau_s * _runs(which[:, column])
+            spans = [(film.tau_s * first, film.tau_s * length) for first, length in _runs(which[:, column])]
             axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
     axes.set_xlim(0, end)
     axes.set_ylim(film.targets + 0.5, 0.5)
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     clean(axes)
-    axes.set_ylabel("target (column)", fontsize=8.5, labelpad=4)
-    axes.set_xlabel("time [s]", fontsize=8.5, labelpad=1)
+    axes.set_ylabel("target slot", fontsize=8.5, labelpad=4)
+    axes.set_xlabel("time [s]", fontsize=8.5, labelpad=3)
     axes.set_title(f"when {name} saw which", fontsize=9, fontweight="bold", loc="left")
 
 
-def _runs(flags: np.ndarray) -> np.ndarray:
-    """First index and length of every run of true values, shape (runs, 2)."""
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """First index and length of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
-    return np.stack([edges[:, 0], edges[:, 1] - edges[:, 0]], axis=1)
+    return [(int(first), int(end - first)) for first, end in edges]
 
 
 def _shares(axes: Axes, films: Mapping[str, Film]) -> None:

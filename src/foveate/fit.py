@@ -45,17 +45,16 @@ def fit_experiment(
             initial_error="consistent",
         ),
     )
-    return Experiment(scenario=scenario, policy=AttentionSettings(), training=RECORDING_TRAINING)
-
-
-RECORDING_TRAINING = TrainingSettings(
-    epochs=2000,
-    episodes=128,
-    learning_rate=1e-3,
-    schedule="cosine",
-    softness=((1.0, 2.0), (0.3, 0.6)),
-    objective="mean",
-    noise=True,
-    select="true",
-    check_every=100,
-)
+    # One soft level reaches across the arena and one keeps near the real view; both scale with what the sensor sees.
+    training = TrainingSettings(
+        epochs=1000,
+        episodes=128,
+        learning_rate=1e-3,
+        schedule="cosine",
+        softness=((1.0, 0.8 * depth_m), (0.3, 0.06 * depth_m)),
+        objective="mean",
+        noise=True,
+        select="true",
+        check_every=50,
+    )
+    return Experiment(scenario=scenario, policy=AttentionSettings(length_m=depth_m), training=training)

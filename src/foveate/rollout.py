@@ -22,11 +22,13 @@ from foveate.types import Action, Count, Key, Pose
 class Protocol(NamedTuple):
     """Where information comes from.
 
-    With `levels`, it grows by the soft weight of each level at the predicted mean: one information matrix a level, of
-    which the policy sees the last. Without, it grows only with real measurements: the Kalman filter.
+    With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
+    the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
+    training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter.
     """
 
     levels: tuple[Softness, ...]
+    at_truth: bool = False
 
 
 SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
@@ -69,15 +71,13 @@ class Instant(eqx.Module):
 def instants(episode: Episode) -> Instant:
     """An episode cut into its steps: every array gets a leading axis of K."""
     truth, arrivals = episode.truth, episode.arrivals
+    reality = None if truth is None else (truth.state[1:], truth.measurement_noise)
+    arrival = None if arrivals is None else (arrivals.present[1:], arrivals.mean[1:])
 
-    def cut(make, *arrays):
-        return jax.vmap(make)(*arrays)
+    def cut(known_input, reality, arrival):
+        return Instant(known_input, reality and Reality(*reality), arrival and Arrival(*arrival))
 
-    return Instant(
-        known_input=episode.inputs,
-        reality=None if truth is None else cut(Reality, truth.state[1:], truth.measurement_noise),
-        arrival=None if arrivals is None else cut(Arrival, arrivals.present[1:], arrivals.mean[1:]),
-    )
+    return jax.vmap(cut)(episode.inputs, reality, arrival)
 
 
 def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
@@ -131,20 +131,23 @@ def act(
 
     mean = predicted.mean
     visible = jnp.zeros(predicted.present.shape, bool)
+    weighed_point_body = point_body
     if (reality := instant.reality) is not None:
         true_point_body = space.to_body(pose, motion.position(reality.state))
         visible = sensor.view.contains(true_point_body) & predicted.present
+        weighed_point_body = true_point_body if protocol.at_truth else point_body
         if instant.arrival is not None:
             visible = visible & instant.arrival.present
         true_covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, true_point_body)
         noise = multiply(cholesky_spd(true_covariance), reality.noise[..., None])
         measurement = reality.state @ sensor.H.T + noise[..., 0]
-        prediction = Belief(predicted.mean, predicted.information[-1])
-        corrected = jax.vmap(belief.correct_mean, (0, 0, None, 0))(prediction, measurement, sensor.H, covariance)
+        corrected = jax.vmap(lambda p, P, z, V: belief.correct_mean(Belief(p, P), z, sensor.H, V))(
+            predicted.mean, predicted.information[-1], measurement, covariance
+        )
         mean = jnp.where(visible[:, None], corrected, mean)
 
     if protocol.levels:
-        distance = sensor.view.signed_distance(point_body)
+        distance = sensor.view.signed_distance(weighed_point_body)
         weight = jnp.stack([detection_weight(distance, level) for level in protocol.levels])
     else:
         weight = visible.astype(mean.dtype)[None]

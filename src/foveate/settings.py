@@ -16,9 +16,9 @@ class TrainingSettings:
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: the
     objective is the mean over levels, and the policy sees the last. `objective` is log det at the horizon
-    ("terminal", the paper) or its mean over the steps. With `noise`, targets move and measurements are as in
-    the real world, and means are corrected; without (the paper), the mean is the truth. Every
-    `check_every` epochs the policy is judged on `held_out` scenes that never train it, by the score of `select`.
+    ("terminal", the paper) or its mean over the steps. With `noise`, targets move and are measured as in the real
+    world, means are corrected, and the soft view is taken at the truth; without (the paper), the mean is the truth.
+    Every `check_every` epochs the policy is judged on `held_out` scenes that never train it, by the score of `select`.
     """
 
     epochs: int = 1000
@@ -46,7 +46,7 @@ class TrainingSettings:
     @property
     def protocol(self) -> Protocol:
         """Where information comes from while training."""
-        return Protocol(levels=tuple(Softness(*level) for level in self.softness))
+        return Protocol(levels=tuple(Softness(*level) for level in self.softness), at_truth=self.noise)
 
 
 @dataclass(frozen=True, kw_only=True)

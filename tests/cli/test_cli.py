@@ -58,7 +58,7 @@ def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_help_needs_no_jax_and_names_every_command() -> None:
-    code = "import sys\nfrom foveate.cli.main import main\ntry:\n    main(['--help'])\nfinally:\n    print('jax' in sys.modules)"
+    code = "import sys\nfrom foveate.cli.main import main\ntry: main(['--help'])\nfinally: print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("False")
     for command in ("train", "evaluate", "fit", "replay"):

@@ -337,6 +337,18 @@ def test_parameters_may_be_traced(build, dimension):
     np.testing.assert_allclose(total(lengths, angles), one_by_one, rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["paper", "camera", "cone narrow"])
+def test_second_derivatives_match_differences_of_first(name):
+    shape, step = ALL[name], 1e-6
+    points = draw_points(shape, 200, seed=3)
+    hessian = jax.jit(jax.vmap(jax.hessian(shape.signed_distance)))(points)
+    slope = jax.jit(jax.vmap(jax.vmap(jax.grad(shape.signed_distance))))
+    shifts = step * np.eye(shape.dimension)[:, None]
+    differences = np.moveaxis(slope(points + shifts) - slope(points - shifts), 0, 1) / (2 * step)
+    close = np.abs(hessian - differences).max(axis=(1, 2)) < 1e-4 * (1 + np.abs(hessian).max(axis=(1, 2)))
+    assert close.mean() > 0.99  # the others lie where the nearest feature changes
+
+
 def test_points_may_have_any_leading_axes():
     points = jnp.asarray(draw_points(ALL["camera"], 24)).reshape(2, 3, 4, 3)
     for shape in (ALL["camera"], ALL["cone reflex"], ALL["prism"], ALL["range-limited camera"]):

@@ -4,7 +4,6 @@ import math
 from functools import reduce
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -90,7 +89,7 @@ class Frustum(FieldOfView):
         Folded to y, z >= 0, the squared distance to the cross-section at x = s is (x - s)^2 + (y - a s)_+^2 +
         (z - b s)_+^2: convex, C^1 and piecewise quadratic in s, so that its minimum over near <= s <= far is
         the clipped minimiser of one of four quadratics, by which of the two side planes hold with equality.
-        As the derivative by s is 0 there, or s is at a limit, only the limits are differentiated (first order).
+        One expression is differentiated, at that minimiser: candidates that tie cannot mix their derivatives.
         """
         x, y, z = point_body[..., 0], jnp.abs(point_body[..., 1]), jnp.abs(point_body[..., 2])
         half_width, half_height = self.width_angle / 2, self.height_angle / 2
@@ -111,8 +110,7 @@ class Frustum(FieldOfView):
         ):
             better = square(self._between(minimiser)) < square(self._between(nearest))
             nearest = jnp.where(better, minimiser, nearest)
-        nearest = self._between(jax.lax.stop_gradient(nearest))
-        return jnp.where(height > 0, safe_sqrt(square(nearest)), height)
+        return jnp.where(height > 0, safe_sqrt(square(self._between(nearest))), height)
 
     def _between(self, s: Float[Array, "..."]) -> Float[Array, "..."]:
         return clipped(s, self.near, self.far)

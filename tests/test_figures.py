@@ -1,0 +1,397 @@
+"""Pictures: what is drawn stands where an outside oracle says, files are what they claim to be."""
+
+import dataclasses
+import json
+import os
+import stat
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from PIL import Image
+from scipy.linalg import expm
+from scipy.stats import chi2
+
+from foveate import animation, drawing, figures
+from foveate.evaluation import prepare, simulate
+from foveate.film import SUBSTEPS, Film, film
+from foveate.geometry.space import SPACES
+from foveate.rollout import TRUE
+from foveate.scenes import Scene
+from foveate.settings import PRESETS
+
+TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
+
+
+def made_up(steps=4, n=3, seed=0, **changes) -> Film:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(steps + 1, n, 2, 2))
+    truth = rng.uniform(-8, 8, (n, 2)) + rng.normal(0, 0.3, (steps + 1, n, 2)).cumsum(axis=0)
+    values = {
+        "title": "made up",
+        "tau_s": 0.5,
+        "space": SPACES["planar"],
+        "visible": rng.random((steps, n)) < 0.4,
+        "log_det": rng.normal(3, 2, (steps, n)),
+        "times_s": 0.5 * np.arange(steps + 1),
+        "pose": rng.normal(0, [0.8, 0.8, 0.5], (steps + 1, 3)).cumsum(axis=0),
+        "truth": truth,
+        "estimate": truth + rng.normal(0, 0.4, (steps + 1, n, 2)),
+        "covariance": root @ root.swapaxes(-1, -2) + 0.1 * np.eye(2),
+        "present": np.ones((steps + 1, n), bool),
+        "outline": (TRIANGLE,),
+    }
+    return Film(**{**values, **changes})
+
+
+def stage(which: Film, moment: int, **options) -> drawing.Stage:
+    shown = drawing.Stage(drawing.new_figure(3, 3).subplots(), which, drawing.limits([which]), **options)
+    shown.show(moment)
+    return shown
+
+
+def corners(collection) -> np.ndarray:
+    return np.array([path.vertices[:-1] for path in collection.get_paths()])
+
+
+@pytest.fixture(scope="module")
+def real():
+    """Three scenes of the paper, padded to the largest, the last one empty, with an untrained policy.
+
+    Problem, suite and traces.
+    """
+    experiment = PRESETS["paper"]
+    problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+    targets = ((3.0, 1.0), (-4.0, 2.0), (1.0, -5.0), (6.0, 6.0))
+    scenes = [
+        Scene(id=f"{n} targets", agent=(0.0, 1.0, 2.0), targets=targets[:n], drift=((0.1, 0.2),) * n, horizon=steps)
+        for n, steps in ((2, 6), (4, 12), (0, 3))
+    ]
+    ready = prepare(problem, settings, scenes)
+    policy = experiment.policy.policy(problem, jax.random.key(0))
+    return problem, ready, simulate(ready, policy, TRUE)
+
+
+# The film
+
+
+def test_film_cuts_padding_and_inverts_the_information(real):
+    problem, ready, traces = real
+    trace = jax.tree.map(lambda x: x[0], traces)
+    truth = np.asarray(ready.episodes.truth.state[0])
+    made = film(problem, trace, truth, 6, 2, "a")
+    assert (made.steps, made.targets) == (6, 2)
+    assert made.pose.shape == (7, 3)
+    np.testing.assert_array_equal(made.truth, truth[:7, :2])
+    product = made.covariance @ np.asarray(trace.information)[:7, :2]
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-9)
+    assert made.score == pytest.approx(float(np.mean(np.asarray(trace.log_det)[5, :2])))
+    np.testing.assert_allclose(made.times_s, np.arange(7.0))
+
+
+def test_film_of_a_longer_state_shows_positions(real):
+    problem, _, traces = real
+    Z = np.array([[0.0, 2.0]] * 2) * [[1], [0.5]] + np.eye(2)
+    turned = dataclasses.replace(problem, motion=dataclasses.replace(problem.motion, Z=jax.numpy.asarray(Z)))
+    trace = jax.tree.map(lambda x: x[1], traces)
+    made = film(turned, trace, np.asarray(trace.mean), 12, 4, "b")
+    np.testing.assert_allclose(made.truth[3, 1], Z @ trace.mean[3, 1], rtol=1e-12)
+    inverse = np.linalg.inv(trace.information[5, 2])
+    np.testing.assert_allclose(made.covariance[5, 2], Z @ inverse @ Z.T, rtol=1e-9)
+
+
+def test_score_and_share_count_who_is_there():
+    present = np.array([[1, 1, 0], [1, 1, 1], [1, 0, 1]], bool)
+    visible = np.array([[1, 0, 1], [0, 1, 1]], bool)
+    log_det = np.array([[1.0, 2, 3], [4, 50, 6]])
+    made = made_up(2, 3, present=present, visible=visible, log_det=log_det)
+    assert made.score == 5.0
+    # Steps at both ends of which a target was there: 2 of the first, 1 of the second, 1 of the third.
+    assert made.seen_share == 2 / 4
+    assert made_up(3, 0).score is None
+    assert made_up(3, 0).seen_share == 0
+
+
+def test_times_that_do_not_fit_are_refused():
+    short = made_up(3, 1)
+    with pytest.raises(ValueError, match="times_s has 4 instants: expected 5"):
+        dataclasses.replace(short, visible=np.zeros((4, 1), bool), log_det=np.zeros((4, 1)))
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 0.7, -1.0471975511965976, 3.1, -3.1])
+def test_arc_is_the_exponential_of_a_constant_twist(turn):
+    v, w, start = np.array([1.3, -0.4]), turn, np.array([2.0, -1.0, 6.9])
+
+    def matrix(pose):
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        return np.array([[cos, -sin, pose[0]], [sin, cos, pose[1]], [0, 0, 1]])
+
+    twist = np.array([[0, -w, v[0]], [w, 0, v[1]], [0, 0, 0]])
+    end = matrix(start) @ expm(twist)
+    poses = np.array([start, [end[0, 2], end[1, 2], start[2] + w]])
+    arc = made_up(1, 0, pose=poses).arc()
+    assert arc.shape == (SUBSTEPS + 1, 3)
+    for i, pose in enumerate(arc):
+        np.testing.assert_allclose(matrix(pose), matrix(start) @ expm(twist * i / SUBSTEPS), atol=1e-12)
+
+
+# The scene
+
+
+def test_ellipse_passes_where_chi_square_says_and_holds_95_percent():
+    which = made_up(2, 1, seed=3)
+    mean, covariance = which.estimate[0, 0], which.covariance[0, 0]
+    border = corners(stage(which, 0).unseen)[0]
+    values, vectors = np.linalg.eigh(covariance)
+    for value, vector in zip(values, vectors.T, strict=True):
+        tip = mean + np.sqrt(chi2.ppf(0.95, 2) * value) * vector
+        assert np.linalg.norm(border - tip, axis=1).min() < 1e-12
+    samples = np.random.default_rng(0).multivariate_normal(mean, covariance, 40_000)
+    from matplotlib.path import Path as Outline
+
+    inside = Outline(border).contains_points(samples).mean()
+    # A polygon of 48 corners in the ellipse has 0.3 % less area: 0.0004 of probability; sampling error 0.0011.
+    assert abs(inside - 0.95) < 0.005
+
+
+def test_view_is_the_outline_moved_by_the_pose():
+    which = made_up(3, 2, seed=1)
+    for instant in range(4):
+        x, y, yaw = which.pose[instant]
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        drawn = stage(which, SUBSTEPS * instant).views[0].get_xy()
+        np.testing.assert_allclose(drawn, [turn @ point + [x, y] for point in TRIANGLE], atol=1e-12)
+
+
+def test_colour_follows_the_measurement_of_the_instant():
+    which = made_up(2, 3, visible=np.array([[1, 0, 0], [0, 1, 1]], bool))
+    for instant, seen in ((0, []), (1, [0]), (2, [1, 2])):
+        shown = stage(which, SUBSTEPS * instant)
+        unseen = [j for j in range(3) if j not in seen]
+        np.testing.assert_array_equal(shown.seen_means.get_xydata(), which.estimate[instant][seen])
+        np.testing.assert_array_equal(shown.unseen_means.get_xydata(), which.estimate[instant][unseen])
+        assert len(corners(shown.seen)) == len(seen)
+        assert len(corners(shown.unseen)) == len(unseen)
+
+
+def test_absent_targets_are_not_drawn():
+    present = np.ones((4, 3), bool)
+    present[:, 1] = False
+    present[2:, 2] = False
+    which = made_up(3, 3, present=present)
+    far = which.truth.copy()
+    far[:, 1] = 1e6
+    which = dataclasses.replace(which, truth=far, estimate=far)
+    assert np.abs(drawing.limits([which])).max() < 100
+    for instant, there in ((0, [0, 2]), (3, [0])):
+        shown = stage(which, SUBSTEPS * instant)
+        np.testing.assert_array_equal(shown.targets.get_xydata(), which.truth[instant][there])
+        assert len(corners(shown.seen)) + len(corners(shown.unseen)) == len(there)
+        track = shown.trails.get_xydata()
+        assert np.nanmax(np.abs(track)) < 100
+    kept = track[np.isfinite(track).all(axis=1)]
+    # The first at four instants and now; the third at the two at which it was there.
+    assert len(kept) == 5 + 2
+
+
+def test_between_instants_targets_move_in_line_and_the_trail_is_bounded():
+    which = made_up(5, 2)
+    shown = stage(which, 3 * SUBSTEPS + SUBSTEPS // 2, trail=1)
+    np.testing.assert_allclose(shown.targets.get_xydata(), (which.truth[3] + which.truth[4]) / 2)
+    track = shown.trails.get_xydata().reshape(2, -1, 2)
+    np.testing.assert_allclose(track[0, :3], [which.truth[2, 0], which.truth[3, 0], shown.targets.get_xydata()[0]])
+    np.testing.assert_allclose(shown.path.get_xydata()[0], which.pose[2, :2])
+
+
+def test_limits_hold_everything_but_beliefs_without_bound():
+    which = made_up(3, 2)
+    vague = dataclasses.replace(which, covariance=1e6 * which.covariance)
+    for made, most in ((which, 60.0), (vague, 60.0)):
+        low, high = drawing.limits([made])
+        points = np.concatenate([made.truth.reshape(-1, 2), made.pose[:, :2]])
+        assert (points > low).all()
+        assert (points < high).all()
+        assert (high - low).max() < most
+        np.testing.assert_allclose(*(high - low))
+
+
+# Files
+
+
+def test_trajectories_of_real_episodes(real, tmp_path):
+    problem, ready, traces = real
+    films = []
+    for i, scene in enumerate(ready.scenes[:2]):
+        trace = jax.tree.map(lambda x, i=i: x[i], traces)
+        truth = np.asarray(ready.episodes.truth.state[i])
+        films.append(film(problem, trace, truth, scene.horizon, len(scene.targets), scene.id))
+    figures.trajectory_figure(films, tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.width == 1350
+    assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_a_scene_without_targets(real, tmp_path):
+    problem, ready, traces = real
+    trace = jax.tree.map(lambda x: x[2], traces)
+    made = film(problem, trace, np.asarray(ready.episodes.truth.state[2]), 3, 0, "empty")
+    figures.trajectory_figure([made], tmp_path / "a.png")
+    figures.replay_figure({"still": made}, tmp_path / "b.png")
+    animation.animate(made, tmp_path / "c.gif")
+    assert drawing.describe(made) == "empty · no targets"
+
+
+@pytest.mark.parametrize(("steps", "count"), [(0, 1), (1, 4), (4, 13), (49, 148), (74, 149), (149, 150), (300, 101)])
+def test_frames_are_few_evenly_spaced_and_end_at_the_end(steps, count):
+    moments = animation.frame_moments(steps)
+    assert len(moments) == count
+    assert moments[0] == 0
+    assert moments[-1] == SUBSTEPS * steps
+    assert len(set(np.diff(moments[:-1]))) <= 1
+
+
+def test_gif_has_its_frames_loops_and_keeps_its_colours(tmp_path):
+    which = made_up(4, 3)
+    animation.animate(which, tmp_path / "a.gif", fps=8)
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert picture.size == (900, 500)
+        assert picture.n_frames == 13
+        assert picture.info["loop"] == 0
+        durations, colors = [], set()
+        for i in range(picture.n_frames):
+            picture.seek(i)
+            durations.append(picture.info["duration"])
+            colors |= {color for _, color in picture.convert("RGB").getcolors(1 << 24)}
+    # GIF counts in hundredths of a second.
+    assert durations == [120] * 12 + [1500]
+    assert (255, 255, 255) in colors
+    for name in (drawing.SEEN, drawing.UNSEEN, drawing.AGENT):
+        wanted = np.array([int(name[i : i + 2], 16) for i in (1, 3, 5)])
+        assert min(np.abs(np.array(color) - wanted).max() for color in colors) < 8
+
+
+def test_last_moment_as_png(tmp_path):
+    animation.animate(made_up(), tmp_path / "a.png", size=(600, 400))
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == (600, 400)
+
+
+def test_mp4_needs_ffmpeg(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ValueError, match="ffmpeg is missing"):
+        animation.animate(made_up(), tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in for ffmpeg is a script")
+def test_mp4_pipes_every_frame(tmp_path, monkeypatch):
+    tool = tmp_path / "ffmpeg"
+    tool.write_text(f'#!{sys.executable}\nimport sys\nopen(sys.argv[-1], "wb").write(sys.stdin.buffer.read())\n')
+    tool.chmod(tool.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", str(tmp_path) + os.pathsep + os.environ["PATH"])
+    animation.animate(made_up(2, 1), tmp_path / "a.mp4", fps=4, size=(400, 300))
+    assert (tmp_path / "a.mp4").stat().st_size == (7 + 6) * 400 * 300 * 3
+    tool.write_text(f'#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit("no such codec")\n')
+    with pytest.raises(ValueError, match="ffmpeg failed: no such codec"):
+        animation.animate(made_up(2, 1), tmp_path / "b.mp4", size=(400, 300))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("a.avi", {}, r"ends in .gif, .mp4 or .png"),
+        ("a.gif", {"size": (301, 300)}, "two even numbers"),
+        ("a.gif", {"fps": 0}, "fps = 0: expected from 1 to 50"),
+    ],
+)
+def test_animate_refuses(tmp_path, name, options, message):
+    with pytest.raises(ValueError, match=message):
+        animation.animate(made_up(), tmp_path / name, **options)
+
+
+def test_pictures_are_planar(tmp_path):
+    shapes = {"truth": (3, 1, 3), "estimate": (3, 1, 3), "covariance": (3, 1, 3, 3), "pose": (3, 4, 4)}
+    zeros = {name: np.zeros(shape) for name, shape in shapes.items()}
+    made = made_up(2, 1, space=SPACES["spatial"], outline=(np.zeros((2, 3)),), **zeros)
+    for draw in (
+        lambda path: figures.trajectory_figure([made], path),
+        lambda path: figures.replay_figure({"a": made}, path),
+        lambda path: animation.animate(made, path),
+    ):
+        with pytest.raises(ValueError, match="pictures are planar"):
+            draw(tmp_path / "a.png")
+
+
+def test_nothing_to_draw_and_wrong_endings_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="no film to draw"):
+        figures.trajectory_figure([], tmp_path / "a.png")
+    with pytest.raises(ValueError, match="no film to draw"):
+        figures.replay_figure({}, tmp_path / "a.png")
+    with pytest.raises(ValueError, match="no run to draw"):
+        figures.learning_curve([], tmp_path / "a.png")
+    with pytest.raises(ValueError, match=r"ends in .png, .pdf, .svg"):
+        figures.trajectory_figure([made_up()], tmp_path / "a.bmp")
+
+
+def test_replay_timeline_and_shares(tmp_path):
+    present = np.array([[1, 1, 1, 0, 1], [0, 1, 1, 1, 1]], bool).T
+    visible = np.array([[0, 1, 0, 1], [0, 1, 0, 1]], bool).T
+    made = made_up(4, 2, present=present, visible=visible)
+    axes = drawing.new_figure(3, 3).subplots()
+    figures._timeline(axes, made, "x")
+
+    def spans(collection):
+        return [tuple(path.vertices[:, 0][[0, 2]]) for path in collection.get_paths()]
+
+    there, seen, there_too, seen_too = axes.collections
+    assert isinstance(there, type(seen))
+    assert not isinstance(there, LineCollection)
+    assert sorted(map(sorted, spans(there))) == [[0.0, 1.0]]
+    assert sorted(map(sorted, spans(seen))) == [[0.5, 1.0]]
+    assert sorted(map(sorted, spans(there_too))) == [[0.5, 2.0]]
+    assert sorted(map(sorted, spans(seen_too))) == [[0.5, 1.0], [1.5, 2.0]]
+    figures.replay_figure({"one": made, "two": made_up(4, 2)}, tmp_path / "a.png")
+    assert Image.open(tmp_path / "a.png").width == 1350
+
+
+# Learning curves
+
+
+def write_run(folder: Path, events=("", "", "")) -> Path:
+    folder.mkdir()
+    rows = [
+        {"epoch": 10 * (i + 1), "objective": 1.0 * i, "gradient_norm": 1.0, "held_out": 2.0 * i, "at_limit": 0.0,
+         "best": i == 1, "epochs_per_s": 9.0, "elapsed_s": 3.0 + i, "event": event}
+        for i, event in enumerate(events)
+    ]  # fmt: skip
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return folder
+
+
+def test_learning_curves_of_one_run_and_of_several(tmp_path):
+    runs = [write_run(tmp_path / "a"), write_run(tmp_path / "b", ("", "", "collapse"))]
+    figures.learning_curve(runs[0], tmp_path / "one.png")
+    figures.learning_curve([runs[0], runs[1] / "metrics.jsonl"], tmp_path / "two.svg")
+    assert "<svg" in (tmp_path / "two.svg").read_text()
+    checks = figures.read_checks(runs[1] / "metrics.jsonl")
+    assert [(check.epoch, check.best, check.event) for check in checks] == [
+        (10, False, ""),
+        (20, True, ""),
+        (30, False, "collapse"),
+    ]
+
+
+def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
+    file = write_run(tmp_path / "a") / "metrics.jsonl"
+    whole = file.read_text()
+    file.write_text(whole[:-20])
+    assert len(figures.read_checks(file)) == 2
+    file.write_text("{}\n" + whole)
+    with pytest.raises(ValueError, match="line 1: not a check"):
+        figures.read_checks(file)
+    file.write_text("")
+    with pytest.raises(ValueError, match="no check in it yet"):
+        figures.read_checks(file)
