@@ -16,7 +16,8 @@ from foveate.checkpoint import load_run
 from foveate.cli.common import Bar, keep_compiled, print_table
 from foveate.episodes import table1
 from foveate.evaluation import evaluate, prepare, result, simulate, summarise
-from foveate.figures import animate, learning_curve, trajectory_figure
+from foveate.animation import animate
+from foveate.figures import learning_curve, trajectory_figure
 from foveate.film import film
 from foveate.files import write_json
 from foveate.learning.training import METRICS, train

@@ -48,7 +48,7 @@ def made_up(steps=4, n=3, seed=0, **changes) -> Film:
 
 
 def stage(which: Film, moment: int, **options) -> drawing.Stage:
-    shown = drawing.Stage(drawing.new_figure(3, 3).subplots(), which, drawing.limits([which]), **options)
+    shown = drawing.Stage(drawing.new_figure(3.0, 3.0).subplots(), which, drawing.limits([which]), **options)
     shown.show(moment)
     return shown
 
@@ -340,7 +340,7 @@ def test_replay_timeline_and_shares(tmp_path):
     present = np.array([[1, 1, 1, 0, 1], [0, 1, 1, 1, 1]], bool).T
     visible = np.array([[0, 1, 0, 1], [0, 1, 0, 1]], bool).T
     made = made_up(4, 2, present=present, visible=visible)
-    axes = drawing.new_figure(3, 3).subplots()
+    axes = drawing.new_figure(3.0, 3.0).subplots()
     figures._timeline(axes, made, "x")
 
     def spans(collection):
@@ -354,7 +354,8 @@ def test_replay_timeline_and_shares(tmp_path):
     assert sorted(map(sorted, spans(there_too))) == [[0.5, 2.0]]
     assert sorted(map(sorted, spans(seen_too))) == [[0.5, 1.0], [1.5, 2.0]]
     figures.replay_figure({"one": made, "two": made_up(4, 2)}, tmp_path / "a.png")
-    assert Image.open(tmp_path / "a.png").width == 1350
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.width == 1350
 
 
 # Learning curves

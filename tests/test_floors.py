@@ -9,14 +9,14 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 FLOORS = [
-    ["types", "linalg", "files", "configuration", "arrays"],
+    ["types", "linalg", "files", "configuration", "arrays", "published"],
     ["geometry.lie", "geometry.space", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     ["problem", "scenario", "scenes", "rollout", "episodes", "environment"],
-    ["policies.base", "policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
-    ["settings", "checkpoint", "evaluation", "recorded", "motion_fit", "replay"],
+    ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
+    ["settings", "checkpoint", "evaluation", "film", "recorded", "motion_fit", "fit", "replay"],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
-    ["figures", "gym", "export", "stonesoup", "view", "cli.*"],
+    ["drawing", "figures", "animation", "gym", "export", "stonesoup", "view", "cli.*"],
 ]
 """From the ground up; files may be missing. "cli.*" is any module of that package, in any order, acyclic.
 

@@ -55,7 +55,7 @@ def inside(x: float, y: float) -> bool:
 
 def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
-    row, _ = replay(ready, "still", handmade("still", ready.problem))
+    row, _ = replay(ready, "still", handmade("still", ready.problem, DEPTH))
 
     position = {
         "a": lambda t: (-8 + t, 1.0),
@@ -85,7 +85,7 @@ def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> N
 
 def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
-    row, trace = replay(ready, "still", handmade("still", ready.problem))
+    row, trace = replay(ready, "still", handmade("still", ready.problem, DEPTH))
     assert row.seen_time_fraction == 0.0
     # Only a moves further than the depth of the view from where it was first believed to be.
     assert row.lost == 1
@@ -99,7 +99,7 @@ def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
 
 def test_every_belief_begins_anew_when_its_target_appears(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
-    _, trace = replay(ready, "still", handmade("still", ready.problem))
+    _, trace = replay(ready, "still", handmade("still", ready.problem, DEPTH))
     index = ready.slots.track_index
     begins = (index[1:] >= 0) & (index[1:] != index[:-1])
     assert begins.sum() >= 2  # c, and d after its gap

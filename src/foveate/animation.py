@@ -93,7 +93,7 @@ def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Arti
     start = left + (side + 62) / width
     curves = figure.add_axes((start, bottom, 1 - start - 14 / width, side / height))
     stage = Stage(ground, film, limits([film]), trail=TRAIL_STEPS, scale=1.15)
-    clean(ground, 9)
+    clean(ground, 9.0)
     ground.set_xlabel("x [m]", fontsize=9, labelpad=2)
     ground.set_ylabel("y [m]", fontsize=9, labelpad=2)
     figure.text(14 / width, 1 - 12 / height, describe(film), fontsize=11, fontweight="bold", va="top")
@@ -129,7 +129,7 @@ def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
     axes.set_ylim(low - pad, high + pad)
     axes.grid(color=PALE, lw=0.6)
     axes.set_axisbelow(True)
-    clean(axes, 9)
+    clean(axes, 9.0)
     axes.set_xlabel("time [s]", fontsize=9, labelpad=2)
     axes.set_ylabel("log det of information [nat]", fontsize=9, labelpad=2)
     short = film.steps <= 60

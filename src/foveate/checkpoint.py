@@ -31,7 +31,7 @@ def save_tree(path: Path, tree: Any, experiment: Experiment, kind: str, facts: d
         "experiment": digest(experiment),
         "facts": facts,
     }
-    save_arrays(path, _named(tree), header)
+    save_arrays(path, {name: np.asarray(leaf) for name, leaf in _named(tree).items()}, header)
 
 
 def load_tree(path: Path, like: T, kind: str) -> tuple[T, dict[str, Any]]:
@@ -50,24 +50,26 @@ def load_tree(path: Path, like: T, kind: str) -> tuple[T, dict[str, Any]]:
             raise ValueError(
                 f"{path}: {name} has shape {arrays[name].shape}: expected {array.shape}, as config.toml says"
             )
-    dynamic, static = eqx.partition(like, eqx.is_array)
-    leaves = [_restored(arrays[name], old) for name, old in zip(wanted, jax.tree.leaves(dynamic), strict=True)]
+    dynamic, static = eqx.partition(like, _is_array)
+    leaves = [jnp.asarray(arrays[name], old.dtype) for name, old in zip(wanted, jax.tree.leaves(dynamic), strict=True)]
     return eqx.combine(jax.tree.unflatten(jax.tree.structure(dynamic), leaves), static), header["facts"]
 
 
-def _named(tree: Any) -> dict[str, np.ndarray]:
+def _is_array(leaf: Any) -> bool:
+    """An array, or the shape and dtype that stand for one."""
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _named(tree: Any) -> dict[str, Any]:
     """The arrays of a pytree by their path in it."""
-    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(tree, eqx.is_array))
-    return {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
+    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(tree, _is_array))
+    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}
 
 
-def _restored(array: np.ndarray, like: jax.Array) -> jax.Array:
-    return jnp.asarray(array, like.dtype)
-
-
-def fresh_policy(experiment: Experiment) -> Policy:
-    """A policy of the experiment's architecture, to be filled with saved weights."""
-    return experiment.policy.policy(experiment.scenario.problem(), jax.random.key(0))
+def policy_shape(experiment: Experiment) -> Policy:
+    """A policy of the experiment's architecture with shapes in place of weights, to be filled with saved ones."""
+    problem = experiment.scenario.problem()
+    return eqx.filter_eval_shape(lambda key: experiment.policy.policy(problem, key), jax.random.key(0))
 
 
 def load_run(run: Path) -> tuple[Experiment, Policy, dict[str, Any]]:
@@ -80,7 +82,7 @@ def load_run(run: Path) -> tuple[Experiment, Policy, dict[str, Any]]:
             f"{run}: no such run folder: expected what `foveate train --out` wrote, or the name of a preset"
         )
     experiment = load_toml(Experiment, run / CONFIG)
-    policy, facts = load_tree(run / BEST, fresh_policy(experiment), "policy")
+    policy, facts = load_tree(run / BEST, policy_shape(experiment), "policy")
     return experiment, policy, facts
 
 

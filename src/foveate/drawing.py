@@ -160,7 +160,7 @@ def legend_entries() -> list[Artist]:
 def describe(film: Film) -> str:
     """Title, number of targets, and how well they were kept: the score, or where they come and go the share seen."""
     most = int(film.present.sum(axis=1).max())
-    count = f"{most or 'no'} target{'s' * (most > 1)}"
+    count = f"{most or 'no'} target{'s' * (most != 1)}"
     if not film.present.all():
         facts = [f"up to {count} at once", f"seen {film.seen_share:.1%} of their time"]
     else:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from foveate.problem import Episode, Problem, Truth
+from foveate.problem import Arrivals, Episode, Problem, Truth
 from foveate.scenario import SceneSettings
 from foveate.scenes import Scene
 from foveate.types import Count, Key, Pose
@@ -42,15 +42,20 @@ class Noise(eqx.Module):
     first: Float[Array, "n n_y"]
 
 
-def draw(settings: SceneSettings, problem: Problem, key: Key, test: bool = False) -> Drawn:
-    """One scene of the distribution, padded to its largest number of targets.
-
-    Numbers are drawn in float32 whatever the working precision, so that a seed means the same scene everywhere.
-    """
+def _draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
     d, most = problem.agent.space.dimension, settings.targets_max
-    shapes = ((), (), (d,), (most, d), (1 if settings.shared_drift else most, d))
-    uniform = jax.random.uniform(key, (_size(shapes),), jnp.float32, -1.0, 1.0).astype(float)
-    count, yaw, agent, position, drift = _cut(uniform, shapes)
+    return (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
+
+
+def draw_size(settings: SceneSettings, problem: Problem) -> int:
+    """How many random numbers make one scene."""
+    return _size(_draw_shapes(settings, problem))
+
+
+def draw(settings: SceneSettings, problem: Problem, uniform: Float[Array, " size"], test: bool = False) -> Drawn:
+    """The scene of the distribution that `draw_size` numbers, uniform in [-1, 1), make; padded to the most targets."""
+    d, most = problem.agent.space.dimension, settings.targets_max
+    count, yaw, agent, position, drift = _cut(uniform, _draw_shapes(settings, problem))
 
     numbers = most + 1 - settings.targets_min
     n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * numbers), numbers - 1).astype(int)
@@ -61,7 +66,7 @@ def draw(settings: SceneSettings, problem: Problem, key: Key, test: bool = False
     return Drawn(
         pose=problem.agent.space.upright(centre + agent_side * agent, jnp.pi * yaw),
         position=centre + half_side * position,
-        drift=jnp.broadcast_to(settings.drift_m_s * drift, (most, d)),
+        drift=jnp.broadcast_to(jnp.array(settings.drift_m_s) * drift, (most, d)),
         present=jnp.arange(most) < n,
         horizon=steps,
     )
@@ -89,12 +94,18 @@ def _cut(flat: Float[Array, " size"], shapes: Sequence[tuple[int, ...]]) -> list
 
 
 def episode_of(
-    problem: Problem, settings: SceneSettings, scene: Drawn, noise: Noise, with_truth: bool = True
+    problem: Problem,
+    settings: SceneSettings,
+    scene: Drawn,
+    noise: Noise,
+    with_truth: bool = True,
+    turnover: bool = False,
 ) -> Episode:
     """A scene and its chance as an episode.
 
     Targets that are positions only are driven by the known input xi = tau (drift + jitter) [m]; for longer states the
-    drift is the initial velocity and the input is zero.
+    drift is the initial velocity and the input is zero. With `turnover` a target that leaves the scene's box is
+    replaced by a new one that enters at the other side: the stationary crowd of a street.
     """
     motion, d = problem.motion, problem.agent.space.dimension
     first = jax.vmap(motion.state_at)(scene.position)
@@ -113,15 +124,37 @@ def episode_of(
             after = motion.advance(state, step[0]) + step[1]
             return after, after
 
-        states = jax.lax.scan(move, first, (inputs, pushes))[1]
-        truth = Truth(state=jnp.concatenate([first[None], states]), measurement_noise=noise.measurement)
-    return Episode(
+        states = jnp.concatenate([first[None], jax.lax.scan(move, first, (inputs, pushes))[1]])
+        truth = Truth(state=states, measurement_noise=noise.measurement)
+    error = first_error(problem, settings, noise.first)
+    episode = Episode(
         pose=scene.pose,
-        mean=first + first_error(problem, settings, noise.first),
+        mean=first + error,
         present=scene.present,
         inputs=known,
         horizon=scene.horizon,
         truth=truth,
+    )
+    return _with_turnover(problem, settings, episode, error) if turnover else episode
+
+
+def _with_turnover(
+    problem: Problem, settings: SceneSettings, episode: Episode, error: Float[Array, "n n_y"]
+) -> Episode:
+    """Wrap the truth around the scene's box; a target that wraps is absent for one instant and then a new one."""
+    assert episode.truth is not None, "turnover moves the truth"
+    states, motion = episode.truth.state, problem.motion
+    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * jnp.sum(episode.present)
+    low = jnp.array(settings.centre_m) - half_side
+    laps = jnp.floor((motion.position(states) - low) / (2 * half_side))
+    states = states - jax.vmap(jax.vmap(motion.state_at))(2 * half_side * laps)
+    wraps = jnp.any(laps[1:] != laps[:-1], axis=-1)
+    present = episode.present & ~jnp.concatenate([jnp.zeros_like(wraps[:1]), wraps])
+    return eqx.tree_at(
+        lambda e: (e.truth, e.arrivals),
+        episode,
+        (Truth(states, episode.truth.measurement_noise), Arrivals(present=present, mean=states + error)),
+        is_leaf=lambda x: x is None,
     )
 
 
@@ -207,9 +240,11 @@ def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, co
     """`count` test scenes with that many targets from the distribution of `settings`, with its drift or without."""
     cell = replace(settings, targets_min=targets, targets_max=targets)
     if not biased:
-        cell = replace(cell, drift_m_s=0.0)
-    key = jax.random.fold_in(jax.random.key(seed), 2 * targets + biased)
-    drawn = jax.vmap(lambda k: draw(cell, problem, k, test=True))(jax.random.split(key, count))
+        cell = replace(cell, drift_m_s=(0.0,) * len(cell.drift_m_s))
+    rng = np.random.default_rng([seed, targets, biased])
+    # In float32 whatever the working precision, so that a seed means the same scenes everywhere.
+    uniform = jnp.asarray(rng.uniform(-1.0, 1.0, (count, draw_size(cell, problem))).astype(np.float32), float)
+    drawn = jax.jit(jax.vmap(lambda numbers: draw(cell, problem, numbers, test=True)))(uniform)
     word = "biased" if biased else "unbiased"
     return [
         Scene(

@@ -190,11 +190,11 @@ def longest_run(flags: Bool[np.ndarray, "K n"]) -> Int[np.ndarray, " n"]:
     return longest
 
 
-def chi_square_band(dof: float, count: int) -> tuple[float, float]:
+def chi_square_band(dof: int, count: int) -> tuple[float, float]:
     """The interval that holds 95 % of means of `count` chi-square variables (Wilson and Hilferty 1931)."""
     total = dof * count
     spread = 2.0 / (9.0 * total)
-    low, high = (dof * (1.0 - spread + sign * Z95 * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))
+    low, high = (dof * max(0.0, 1.0 - spread + sign * Z95 * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))
     return low, high
 
 

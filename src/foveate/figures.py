@@ -99,7 +99,7 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
         for check in checks:
             if check.event:
                 axes.axvline(check.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
-    clean(axes, 9)
+    clean(axes, 9.0)
     axes.grid(color=PALE, lw=0.6)
     axes.set_xlabel("epoch", fontsize=9.5)
     axes.set_ylabel("log det of information [nat per target]", fontsize=9.5)
@@ -153,7 +153,7 @@ def _seconds_on_top(axes: Axes, checks: Sequence[Check]) -> None:
     ticks = [tick for tick in axes.get_xticks() if 0 <= tick <= epochs[-1]]
     seconds = np.interp(ticks, epochs, [0.0, *(check.elapsed_s for check in checks)])
     top.set_xticks(ticks, [f"{value:.0f} s" for value in seconds])
-    clean(top, 9)
+    clean(top, 9.0)
     top.tick_params(labelcolor=GREY)
 
 
@@ -212,7 +212,7 @@ def _timeline(axes: Axes, film: Film, name: str) -> None:
             spans = [(film.tau_s * first, film.tau_s * length) for first, length in _runs(which[:, column])]
             axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
     axes.set_xlim(0, end)
-    axes.set_ylim(film.targets + 0.5, 0.5)
+    axes.set_ylim(max(film.targets, 1) + 0.5, 0.5)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     clean(axes)
     axes.set_ylabel("target slot", fontsize=8.5, labelpad=4)

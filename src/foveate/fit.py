@@ -1,5 +1,7 @@
 """From a recording to a scenario: who moves there and how, as an experiment that trains a policy for it."""
 
+from typing import Literal
+
 import numpy as np
 
 from foveate.motion_fit import MotionStatistics
@@ -7,17 +9,22 @@ from foveate.policies.attention import AttentionSettings
 from foveate.scenario import DifferentialDrive, DriftTarget, Scenario, SceneSettings, SectorView, SensorSettings
 from foveate.settings import Experiment, TrainingSettings
 
-SQUARE_MEAN = 0.7651957
-"""Mean length of a vector uniform in the square [-1, 1]^2: (sqrt 2 + log(1 + sqrt 2)) / 3."""
-
 
 def fit_experiment(
-    statistics: MotionStatistics, *, v_max: float, w_max: float, depth_m: float, angle_deg: float, std_m: float
+    statistics: MotionStatistics,
+    *,
+    v_max: float,
+    w_max: float,
+    depth_m: float,
+    angle_deg: float,
+    std_m: float,
+    goal: Literal["seen", "information"] = "seen",
 ) -> Experiment:
     """A scenario whose targets appear where the recording has them and walk straight at its speed.
 
     The agent is not told how targets move: its filter supposes a random walk with the covariance of the recording's
-    displacements. Agent and sensor are the user's.
+    displacements. Agent and sensor are the user's. `goal`: to have the targets in view for as long as possible
+    ("seen"), or to know all of them well ("information": the policy then looks around rather than stays).
     """
     lower, upper = statistics.robust_lower_m, statistics.robust_upper_m
     sides = tuple(float(x) for x in np.maximum((upper - lower) / 2, 1.0))
@@ -36,10 +43,12 @@ def fit_experiment(
             half_side_per_target_m=0.0,
             agent_spread=1.0,
             agent_test_half_side_m=min(sides),
-            drift_m_s=statistics.speed_median_m_s / SQUARE_MEAN,
+            # Uniform velocities of the recording's own second moment: a street has walkers along it, few across.
+            drift_m_s=tuple(float(x) for x in np.sqrt(3 * np.diag(statistics.walk_covariance_m2)) / statistics.tau_s),
             shared_drift=False,
             known_drift=False,
             process_noise=False,
+            turnover=True,
             jitter_m_s=0.0,
             steps=max(10, round(20.0 / statistics.tau_s)),
             initial_error="consistent",
@@ -47,12 +56,12 @@ def fit_experiment(
     )
     # One soft level reaches across the arena and one keeps near the real view; both scale with what the sensor sees.
     training = TrainingSettings(
-        epochs=1000,
+        epochs=600,
         episodes=128,
         learning_rate=1e-3,
         schedule="cosine",
         softness=((1.0, 0.8 * depth_m), (0.3, 0.06 * depth_m)),
-        objective="mean",
+        objective="seen" if goal == "seen" else "mean",
         noise=True,
         select="true",
         check_every=50,

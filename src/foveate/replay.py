@@ -52,6 +52,7 @@ class Replay:
     slots: Slots
     episode: Episode
     truth: np.ndarray
+    depth_m: float
     agent_start: tuple[float, ...]
     seed: int
 
@@ -84,7 +85,15 @@ def prepare_replay(
         arrivals=Arrivals(present=present, mean=first_mean),
     )
     start = tuple(float(x) for x in agent_start)
-    return Replay(problem=problem, slots=slots, episode=episode, truth=truth, agent_start=start, seed=seed)
+    return Replay(
+        problem=problem,
+        slots=slots,
+        episode=episode,
+        truth=truth,
+        depth_m=float(scenario.view.depth_m),
+        agent_start=start,
+        seed=seed,
+    )
 
 
 def _states(problem: Problem, slots: Slots) -> np.ndarray:
@@ -123,7 +132,6 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
     error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
     square = ((error @ np.asarray(ready.problem.motion.Z, float).T) ** 2).sum(axis=-1)
     nees = np.einsum("kni,knij,knj->kn", error, np.asarray(trace.information, float)[1:], error)
-    depth = float(ready.problem.sensor.view.depth)
     seen, lost, longest = 0, 0, 0
     tracks = np.unique(index[1:][counts])
     for track in tracks:
@@ -133,7 +141,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         looks = visible[steps, column]
         seen += bool(looks.any())
         longest = max(longest, int(longest_run(~looks[:, None])[0]))
-        lost += bool(not looks[-1] and np.sqrt(square[steps[-1], column]) > depth)
+        lost += bool(not looks[-1] and np.sqrt(square[steps[-1], column]) > ready.depth_m)
     total = max(1, int(counts.sum()))
     return ReplayRow(
         method=method,

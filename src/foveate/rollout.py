@@ -120,8 +120,8 @@ def observe(predicted: State, known_input: Float[Array, "n m_y"]) -> Observation
 
 def act(
     problem: Problem, protocol: Protocol, predicted: State, instant: Instant, action: Action
-) -> tuple[State, Bool[Array, " n"]]:
-    """Move, measure and update; also says which targets were really measured."""
+) -> tuple[State, Bool[Array, " n"], Float[Array, "levels n"]]:
+    """Move, measure and update; also which targets were really measured, and the weight each level gives them."""
     sensor, motion, space = problem.sensor, problem.motion, problem.agent.space
     pose = problem.agent.move(predicted.pose, action, problem.tau)
     rotation = space.rotation(pose)
@@ -160,19 +160,19 @@ def act(
         mean = jnp.where(begins[:, None], arrival.mean, mean)
         information = jnp.where(begins[:, None, None], problem.prior_information, information)
         present = arrival.present
-    return State(predicted.step + 1, pose, mean, information, present), visible
+    return State(predicted.step + 1, pose, mean, information, present), visible, weight
 
 
 def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record):
-    """Run all steps; `record(state, action, visible)` says what to keep of each."""
+    """Run all steps; `record(state, action, visible, weight)` says what to keep of each."""
 
     def step(carry, instant):
         state, memory = carry
         predicted = predict(problem, state, instant.known_input)
         observation = observe(predicted, instant.known_input)
         action, memory = policy(observation, memory, jax.random.fold_in(key, state.step))
-        state, visible = act(problem, protocol, predicted, instant, action)
-        return (state, memory), record(state, action, visible)
+        state, visible, weight = act(problem, protocol, predicted, instant, action)
+        return (state, memory), record(state, action, visible, weight)
 
     steps = instants(episode)
     first = start(problem, episode, protocol)
@@ -184,7 +184,8 @@ def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol
 def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Trace:
     """One episode, with everything that happened."""
 
-    def record(state, action, visible):
+    def record(state, action, visible, weight):
+        del weight
         return state.pose, action, state.mean, state.information[-1], visible, state.present
 
     first, kept = _scan(problem, policy, episode, protocol, key, record)
@@ -207,8 +208,18 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
 def log_dets(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
     """log det Y_k of every target after every step, the mean over the levels: what training differentiates."""
 
-    def record(state, action, visible):
-        del action, visible
+    def record(state, action, visible, weight):
+        del action, visible, weight
         return jnp.mean(log_det_spd(state.information), axis=0)
+
+    return _scan(problem, policy, episode, protocol, key, record)[1]
+
+
+def weights(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
+    """How far every target is in view after every step, 1 - Phi in the mean over the levels."""
+
+    def record(state, action, visible, weight):
+        del state, action, visible
+        return jnp.mean(weight, axis=0)
 
     return _scan(problem, policy, episode, protocol, key, record)[1]

@@ -218,7 +218,7 @@ class LinearTarget:
         """A, B, W, Z."""
         del tau_s
         Z = _matrix(self.Z, "Z", (dimension, len(self.A)))
-        _require(np.linalg.matrix_rank(Z) == dimension, "Z", self.Z, f"expected rank {dimension}")
+        _require(int(np.linalg.matrix_rank(Z)) == dimension, "Z", self.Z, f"expected rank {dimension}")
         return np.array(self.A), np.array(self.B), np.array(self.W), Z
 
     def prior_covariance(self, dimension: int) -> np.ndarray:
@@ -234,9 +234,10 @@ class SceneSettings:
     Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` whose half side is
     `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
     `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
-    [-drift_m_s, drift_m_s] per axis, one for all targets of a scene (`shared_drift`) or each its own, plus
+    [-drift_m_s, drift_m_s] of each axis, one for all targets of a scene (`shared_drift`) or each its own, plus
     [-jitter_m_s, jitter_m_s] anew at each step; `known_drift` says whether the agent is told (the paper: yes), and
-    `process_noise` whether the targets are pushed by N(0, W) as well.
+    `process_noise` whether the targets are pushed by N(0, W) as well. With `turnover`, in training, a target that
+    leaves the box is replaced by a new one that enters at the other side.
     Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V) ("paper": claims more than it errs) or
     drawn from the first belief ("consistent").
     """
@@ -248,10 +249,11 @@ class SceneSettings:
     half_side_per_target_m: float = 2.0
     agent_spread: float = 1.25
     agent_test_half_side_m: float = 2.0
-    drift_m_s: float = 0.8
+    drift_m_s: tuple[float, ...] = (0.8, 0.8)
     shared_drift: bool = True
     known_drift: bool = True
     process_noise: bool = True
+    turnover: bool = False
     jitter_m_s: float = 0.5
     steps_per_target: int = 3
     steps: int | None = None
@@ -265,13 +267,14 @@ class SceneSettings:
             "half_side_per_target_m",
             "agent_spread",
             "agent_test_half_side_m",
-            "drift_m_s",
             "jitter_m_s",
         ):
             _require(getattr(self, name) >= 0, name, getattr(self, name), "expected >= 0")
         _require(min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis")
+        _require(min(self.drift_m_s, default=-1) >= 0, "drift_m_s", self.drift_m_s, "expected >= 0 per axis")
         right = "expected one number per axis, as many as half_side_m"
-        _require(len(self.centre_m) == len(self.half_side_m), "centre_m", self.centre_m, right)
+        for name in ("centre_m", "drift_m_s"):
+            _require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
         _require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
         _require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
 

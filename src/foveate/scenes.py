@@ -1,6 +1,5 @@
 """Scenes: where agent and targets start and how the targets drift. In memory and in files."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,6 +103,6 @@ def _row(value: Any, where: str, width: int | None) -> tuple[float, ...]:
     if not fits or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in value):
         wanted = "" if width is None else f"{width} "
         raise ValueError(f"{where} = {value!r}: expected {wanted}numbers in a list")
-    if not all(math.isfinite(x) and abs(x) <= MAX_LENGTH for x in value):
+    if not all(abs(x) <= MAX_LENGTH for x in value):
         raise ValueError(f"{where} = {value!r}: expected finite numbers up to {MAX_LENGTH:g}")
     return tuple(float(x) for x in value)

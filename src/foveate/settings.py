@@ -15,10 +15,11 @@ class TrainingSettings:
 
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: the
-    objective is the mean over levels, and the policy sees the last. `objective` is log det at the horizon
-    ("terminal", the paper) or its mean over the steps. With `noise`, targets move and are measured as in the real
-    world, means are corrected, and the soft view is taken at the truth; without (the paper), the mean is the truth.
-    Every `check_every` epochs the policy is judged on `held_out` scenes that never train it, by the score of `select`.
+    objective is the mean over levels, and the policy sees the last. `objective` is log det at the horizon ("terminal",
+    the paper), its mean over the steps ("mean"), or the share of time in view ("seen"). With `noise`, targets move
+    and are measured as in the real world, means are corrected, and the soft view is taken at the truth; without
+    (the paper), the mean is the truth. Every `check_every` epochs the policy is judged on `held_out` scenes that never
+    train it, by the score of `select`.
     """
 
     epochs: int = 1000
@@ -27,7 +28,7 @@ class TrainingSettings:
     schedule: Literal["constant", "cosine"] = "constant"
     gradient_bound: float = 10.0
     softness: tuple[tuple[float, float], ...] = ((PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa),)
-    objective: Literal["terminal", "mean"] = "terminal"
+    objective: Literal["terminal", "mean", "seen"] = "terminal"
     noise: bool = False
     select: Literal["surrogate", "true"] = "surrogate"
     held_out: int = 240

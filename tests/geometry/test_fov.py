@@ -44,7 +44,6 @@ FRUSTA = {
 POLYHEDRA = {
     "paper": (triangle(2.0, 2 * math.pi / 3), [[0, 0], [2, -2 * math.sqrt(3)], [2, 2 * math.sqrt(3)]]),
     "needle": (triangle(3.0, 0.05), [[0, 0], [3, 3 * math.tan(0.025)], [3, -3 * math.tan(0.025)]]),
-    "clockwise": (polygon([[0, 1], [1, 0], [0, 0], [-1, 2]]), [[0, 1], [1, 0], [0, 0], [-1, 2]]),
     "heptagon": (polygon(HEPTAGON), HEPTAGON),
 } | {name: (frustum(*args), frustum_corners(*args)) for name, args in FRUSTA.items()}
 

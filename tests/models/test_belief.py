@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from foveate.models.belief import Belief, correct_mean, entropy, predict_information, update_information
 from foveate.models.target import LinearGaussian
 
-SHAPES = [(1, 1, 1), (2, 1, 2), (2, 2, 1), (3, 2, 2), (4, 2, 2), (5, 5, 3), (6, 3, 1)]
+SHAPES = [(1, 1, 1), (2, 1, 2), (3, 3, 1), (4, 2, 2), (5, 4, 3), (6, 3, 1)]
 """n_y, n_z, m_y."""
 
 
@@ -96,7 +96,7 @@ def test_equals_covariance_form_filters(shape):
         np.testing.assert_allclose(covariances, expected_covariances, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 2), (4, 2, 2)])
+@pytest.mark.parametrize("shape", [(2, 1, 2), (4, 2, 2)])
 def test_singular_motion(shape):
     """The paper's printed form needs A^-1; W makes up for what A loses."""
     world = World(*shape, singular=True)

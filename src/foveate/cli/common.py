@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from foveate.problem import Policy, Problem
+    from foveate.problem import Policy
     from foveate.settings import Experiment
 
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
@@ -48,13 +48,14 @@ def experiment_of(run: str) -> "Experiment":
     raise ValueError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESETS)}")
 
 
-def policy_of(run: str, method: str, problem: "Problem", box_world: Any = None) -> "Policy":
+def policy_of(run: str, method: str, experiment: "Experiment", box_world: Any = None) -> "Policy":
     """The policy that a method name means for a run. Raises ValueError where a preset has no trained policy."""
     from foveate.checkpoint import load_run
     from foveate.policies.handmade import handmade
 
     if method != "policy":
-        return handmade(method, problem, box_world)
+        scenario = experiment.scenario
+        return handmade(method, scenario.problem(), float(scenario.view.depth_m), box_world)
     if not Path(run).is_dir():
         raise ValueError(
             f"preset {run} has no trained policy here: train it (foveate train --preset {run}), or name a --method"
@@ -71,9 +72,10 @@ def check_output(path: Path | None) -> None:
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table on standard output; the first two columns are text, the others numbers."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(title=escape(title), title_justify="left", header_style="bold")
     for i, name in enumerate(header):
         table.add_column(name, justify="left" if i < 2 else "right", no_wrap=True)
     for row in rows:

@@ -56,7 +56,7 @@ class Evaluate:
             scenes = table1(problem)
         else:
             scenes = read_scenes(Path(self.scenes), problem.agent.space, settings)
-        policies = {name: policy_of(self.run, name, problem) for name in methods}
+        policies = {name: policy_of(self.run, name, experiment) for name in methods}
         suite = prepare(problem, settings, scenes, self.seed, self.episodes)
         protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
         rows = []

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -38,6 +38,9 @@ class Fit:
     sensor_std_m: float = 0.3
     """Standard deviation of a measured position [m]."""
 
+    goal: Literal["seen", "information"] = "seen"
+    """seen: have the targets in view for as long as possible. information: know all of them well."""
+
     def run_command(self) -> int:
         """Fit, say what was found, write the experiment."""
         from foveate.cli.common import check_output
@@ -61,6 +64,7 @@ class Fit:
             depth_m=self.view_depth,
             angle_deg=self.view_angle_deg,
             std_m=self.sensor_std_m,
+            goal=self.goal,
         )
         said = found.lines()
         print("\n".join(said))

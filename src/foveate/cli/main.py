@@ -1,8 +1,10 @@
 """`foveate`: the command line. Nothing heavy is imported before a command is chosen, so that help comes at once."""
 
+import functools
+import operator
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -21,7 +23,7 @@ A run in three commands:
 """
 
 
-def _command(kind: type, name: str) -> object:
+def _command(kind: type, name: str) -> Any:
     # The first paragraph of a command's docstring stands in the list, the whole of it on the command's own page.
     return Annotated[kind, tyro.conf.subcommand(name, description=kind.__doc__)]
 
@@ -31,16 +33,10 @@ COMMANDS = {"train": Train, "evaluate": Evaluate, "fit": Fit, "replay": Replay}
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
-    kinds = tuple(_command(kind, name) for name, kind in COMMANDS.items())
-    union = kinds[0]
-    for kind in kinds[1:]:
-        union = union | kind  # pyright: ignore[reportOperatorIssue]
+    kinds = [_command(kind, name) for name, kind in COMMANDS.items()]
+    choice: Any = functools.reduce(operator.or_, kinds)
     command = tyro.cli(
-        union,  # pyright: ignore[reportArgumentType]
-        prog="foveate",
-        description=DESCRIPTION,
-        args=arguments,
-        config=(tyro.conf.OmitSubcommandPrefixes,),
+        choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
     )
     keep_compiled()
     try:

@@ -42,6 +42,7 @@ class Replay:
         """Replay every method from every start, print means, write files."""
         import sys
 
+        import jax.numpy as jnp
         import numpy as np
 
         from foveate.cli.common import Bar, check_methods, check_output, experiment_of, policy_of
@@ -59,6 +60,7 @@ class Replay:
                 raise ValueError(f"preset {self.run} has no trained policy here: train it, or name another --method")
         recording = window(load_recording(self.recording), self.start, self.end)
         box = np.stack(recording.extent)
+        policies = {name: policy_of(self.run, name, experiment, jnp.asarray(box, float)) for name in methods}
         starts = self._starts(recording, experiment)
         rows, films = [], {}
         with Bar("replaying", len(starts) * len(methods), "runs") as bar:
@@ -68,7 +70,7 @@ class Replay:
                     for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
                         print(f"warning: {line}", file=sys.stderr)
                 for name in methods:
-                    row, trace = replay(ready, name, policy_of(self.run, name, ready.problem, box))
+                    row, trace = replay(ready, name, policies[name])
                     rows.append(row)
                     if start is starts[0] and self.out is not None:
                         films[name] = (ready, trace)
@@ -135,7 +137,8 @@ class Replay:
         print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)
 
     def _draw(self, films) -> None:
-        from foveate.figures import animate, replay_figure
+        from foveate.animation import animate
+        from foveate.figures import replay_figure
         from foveate.film import film
 
         assert self.out is not None, "called with a folder only"

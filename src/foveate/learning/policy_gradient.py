@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
-from foveate.episodes import draw, draw_noise, episode_of
+from foveate.episodes import draw, draw_noise, draw_size, episode_of
 from foveate.problem import Episode, Policy, Problem
-from foveate.rollout import log_dets
+from foveate.rollout import log_dets, weights
 from foveate.scenario import SceneSettings
 from foveate.settings import TrainingSettings
 from foveate.types import Count, Key, Scalar
@@ -47,23 +47,33 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
     return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int))
 
 
-def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool) -> Episode:
-    """One fresh training episode; without `noise` the mean is the truth and is never corrected."""
+def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False) -> Episode:
+    """One fresh episode; without `noise` the mean is the truth and is never corrected. `test`: as test scenes begin."""
     scene_key, noise_key = jax.random.split(key)
     steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
     chance = draw_noise(problem, noise_key, steps, targets)
-    return episode_of(problem, scenes, draw(scenes, problem, scene_key), chance, with_truth=noise)
+    uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
+    scene = draw(scenes, problem, uniform, test)
+    return episode_of(problem, scenes, scene, chance, with_truth=noise, turnover=noise and scenes.turnover)
+
+
+def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
+    """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
+    present = episode.present if episode.arrivals is None else episode.arrivals.present[1:]
+    present = jnp.broadcast_to(present, values.shape)
+    score = jnp.sum(jnp.where(present, values, 0.0), axis=1) / jnp.maximum(jnp.sum(present, axis=1), 1)
+    if terminal:
+        return score[episode.horizon - 1]
+    return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
 
 
 def objective(
     problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
 ) -> Float[Array, ""]:
-    """What one episode earns [nat per target]: sum_j log det Y^(j) / n, at the horizon or in the mean over steps."""
-    values = log_dets(problem, policy, episode, settings.protocol, key)
-    score = jnp.sum(jnp.where(episode.present, values, 0.0), axis=1) / jnp.maximum(jnp.sum(episode.present), 1)
-    if settings.objective == "terminal":
-        return score[episode.horizon - 1]
-    return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
+    """What training differentiates: log det [nat per target] or time in view of an episode, under the soft views."""
+    earnings = weights if settings.objective == "seen" else log_dets
+    values = earnings(problem, policy, episode, settings.protocol, key)
+    return episode_score(values, episode, settings.objective == "terminal")
 
 
 def epoch(
@@ -82,7 +92,7 @@ def epoch(
         return -jnp.mean(jax.vmap(lambda e, k: objective(problem, policy, e, settings, k))(batch, keys))
 
     value, gradient = jax.value_and_grad(loss)(parameters)
-    norm = optax.global_norm(gradient)
+    norm = optax.tree.norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
     policy = eqx.apply_updates(learner.policy, updates)
     report = Report(-value, norm, jnp.isfinite(value) & jnp.isfinite(norm))

@@ -15,9 +15,8 @@ from tensorboardX import SummaryWriter
 from foveate.arrays import load_arrays
 from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree, write_config
 from foveate.configuration import digest, load_toml
-from foveate.episodes import draw, draw_noise, episode_of
 from foveate.files import write_atomic
-from foveate.learning.policy_gradient import Learner, begin, epochs
+from foveate.learning.policy_gradient import Learner, begin, episode_score, epochs, training_episode
 from foveate.problem import Episode, Policy, Problem, Trace
 from foveate.rollout import PROTOCOLS, rollout
 from foveate.settings import Experiment
@@ -78,30 +77,21 @@ class Progress(eqx.Module):
 def held_out_episodes(experiment: Experiment, problem: Problem, key: Key) -> Episode:
     """Scenes that never train the policy, from the test distribution, with truth and noise."""
     scenes = experiment.scenario.scenes
-    steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
-
-    def one(key: Key) -> Episode:
-        scene_key, noise_key = jax.random.split(key)
-        chance = draw_noise(problem, noise_key, steps, targets)
-        return episode_of(problem, scenes, draw(scenes, problem, scene_key, test=True), chance)
-
-    return jax.jit(jax.vmap(one))(jax.random.split(key, experiment.training.held_out))
+    keys = jax.random.split(key, experiment.training.held_out)
+    return jax.jit(jax.vmap(lambda k: training_episode(problem, scenes, k, noise=True, test=True)))(keys)
 
 
 def judge(
     experiment: Experiment, problem: Problem, policy: Policy, episodes: Episode, key: Key
 ) -> tuple[jax.Array, jax.Array]:
-    """Mean held-out score [nat per target] and the share of commands at a limit."""
+    """Mean held-out score, of what training is after, and the share of commands at a limit."""
     training = experiment.training
     protocol = PROTOCOLS[training.select]
     keys = jax.random.split(key, training.held_out)
     trace: Trace = jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
+    values = trace.visible.astype(float) if training.objective == "seen" else trace.log_det
+    score = jax.vmap(lambda v, e: episode_score(v, e, training.objective == "terminal"))(values, episodes)
     counts = jnp.arange(trace.action.shape[1]) < episodes.horizon[:, None]
-    score = jnp.mean(trace.log_det, axis=2, where=episodes.present[:, None, :])
-    if training.objective == "terminal":
-        score = jnp.take_along_axis(score, episodes.horizon[:, None] - 1, axis=1)[:, 0]
-    else:
-        score = jnp.mean(score, axis=1, where=counts)
     # A policy that stands at the limit of one axis may do so for good reason; at all of them it has collapsed.
     at_limit = jnp.all(jnp.abs(trace.action) > LIMIT, axis=-1)
     return jnp.mean(score), jnp.mean(at_limit, where=counts)
@@ -151,7 +141,7 @@ def train(
                 gradient_norm=float(numbers.gradient_norm),
                 held_out=score,
                 at_limit=at_limit,
-                best=int(progress.best_epoch) == int(learner.epoch),
+                best=not stopped and int(progress.best_epoch) == int(learner.epoch),
                 epochs_per_s=count / (now - started),
                 elapsed_s=now - began,
                 event=event,
@@ -231,7 +221,7 @@ def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tu
     return progress, float(facts["elapsed_s"])
 
 
-def _epoch_of(line: str) -> float:
+def _epoch_of(line: str) -> int | float:
     """The epoch of a line of metrics; a line that was cut while it was written counts as too late."""
     try:
         return json.loads(line)["epoch"]
@@ -242,9 +232,12 @@ def _epoch_of(line: str) -> float:
 def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
-        save_tree(out / BEST, progress.best.policy, experiment, "policy", {**facts, "held_out": check.held_out})
+        # No time in it: the same experiment and seed give the same file.
+        best = {"seed": seed, "epoch": check.epoch, "held_out": check.held_out}
+        save_tree(out / BEST, progress.best.policy, experiment, "policy", best)
     save_tree(out / LAST, progress, experiment, "training", facts)
     with (out / METRICS).open("a") as file:
-        file.write(json.dumps(asdict(check)) + "\n")
+        facts = {name: None if value != value else value for name, value in asdict(check).items()}
+        file.write(json.dumps(facts) + "\n")
     for name in ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s"):
         events.add_scalar(name, getattr(check, name), check.epoch)

@@ -1,11 +1,14 @@
 """The paper's network: an embedding of the agent attends to an embedding of every target (paper, section 3.2)."""
 
+import itertools
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.space import Space
@@ -46,27 +49,37 @@ class AttentionSettings:
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
         """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
         d, n_y = problem.agent.space.dimension, problem.motion.state_size
-        if self.frame == "body" and (n_y % d or not jnp.array_equal(problem.motion.Z, jnp.eye(d, n_y))):
+        if self.frame == "body" and (n_y % d or not np.array_equal(problem.motion.Z, np.eye(d, n_y))):
             raise ValueError(
                 f"frame = 'body': expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
             )
-        keys = jax.random.split(key, 3)
         embedding = self.agent_widths[-1]
-        out = (*self.out_widths, len(problem.agent.axes))
-        return AttentionPolicy(
-            agent_layers=_layers((problem.agent.space.twist_size, *self.agent_widths), keys[0]),
-            target_layers=_layers((n_y + n_y * (n_y + 1) // 2, *self.target_widths), keys[1]),
-            out_layers=_layers((2 * embedding, *out), keys[2]),
-            space=problem.agent.space,
-            frame=self.frame,
-            alpha=self.alpha,
-            length_m=self.length_m,
+        widths = (
+            (problem.agent.space.twist_size, *self.agent_widths),
+            (n_y + n_y * (n_y + 1) // 2, *self.target_widths),
+            (2 * embedding, *self.out_widths, len(problem.agent.axes)),
         )
+        agent, target, out = _fresh_layers(widths, key)
+        return AttentionPolicy(agent, target, out, problem.agent.space, self.frame, self.alpha, self.length_m)
 
 
-def _layers(widths: tuple[int, ...], key: Key) -> tuple[eqx.nn.Linear, ...]:
-    keys = jax.random.split(key, len(widths) - 1)
-    return tuple(eqx.nn.Linear(a, b, key=k) for a, b, k in zip(widths[:-1], widths[1:], keys, strict=True))
+def _fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[tuple[eqx.nn.Linear, ...]]:
+    """Chains of layers, weights and biases uniform within 1 / sqrt(inputs), cut from one draw.
+
+    A draw of its own for each of a dozen arrays would cost a second of compilation each.
+    """
+    sizes = [[(out, into + 1) for into, out in itertools.pairwise(chain)] for chain in widths]
+    total = sum(out * columns for chain in sizes for out, columns in chain)
+    numbers, start, chains = jax.random.uniform(key, (total,), minval=-1.0), 0, []
+    for chain in sizes:
+        layers = []
+        for out, columns in chain:
+            block = numbers[start : start + out * columns].reshape(out, columns) / math.sqrt(columns - 1)
+            start += out * columns
+            layer = eqx.filter_eval_shape(eqx.nn.Linear, columns - 1, out, key=key)
+            layers.append(eqx.tree_at(lambda one: (one.weight, one.bias), layer, (block[:, :-1], block[:, -1])))
+        chains.append(tuple(layers))
+    return chains
 
 
 class AttentionPolicy(Policy):

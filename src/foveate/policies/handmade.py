@@ -1,7 +1,6 @@
 """Policies made by hand: what a learned policy has to beat."""
 
 import abc
-import math
 from typing import Any
 
 import equinox as eqx
@@ -130,15 +129,13 @@ class Lawnmower(Steering):
 METHODS = ("random", "still", "nearest", "uncertain", "lawnmower")
 
 
-def handmade(name: str, problem: Problem, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-    """The hand-made policy of that name. Standoff: half the depth of the view; `box_world` is for the lawnmower."""
-    depth = float(problem.sensor.view.depth)
-    standoff = 0.5 * depth if math.isfinite(depth) else 0.0
+def handmade(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
+    """The hand-made policy of that name, standing off by half the depth [m] of the view; the box is the lawnmower's."""
     policies = {
         "random": lambda: Random(problem),
         "still": lambda: Still(problem),
-        "nearest": lambda: Nearest(problem, standoff),
-        "uncertain": lambda: Uncertain(problem, standoff),
+        "nearest": lambda: Nearest(problem, 0.5 * depth_m),
+        "uncertain": lambda: Uncertain(problem, 0.5 * depth_m),
         "lawnmower": lambda: Lawnmower(problem, 0.0, box_world),
     }
     if name not in policies:

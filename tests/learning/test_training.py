@@ -1,0 +1,316 @@
+"""Training: it learns, twice the same, goes on where it stopped, and keeps its best whatever happens."""
+
+import json
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+
+from foveate.checkpoint import BEST, LAST, load_run, load_tree
+from foveate.learning import training
+from foveate.learning.policy_gradient import Learner, Report, begin
+from foveate.learning.training import COLLAPSED_CHECKS, METRICS, RETURNS, Progress, judge, train
+from foveate.policies.attention import AttentionSettings
+from foveate.problem import Policy
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import Experiment, TrainingSettings
+
+TINY = Experiment(
+    scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))),
+    policy=AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,)),
+    training=TrainingSettings(epochs=40, episodes=8, learning_rate=1e-2, held_out=16, check_every=10),
+)
+
+
+class Interrupted(Exception):
+    pass
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once(tmp_path_factory):
+    """Every call of `train` compiles anew: let them share their programs."""
+    before = {name: getattr(jax.config, name) for name in CACHE}
+    compilation_cache.reset_cache()
+    for name, value in CACHE.items():
+        jax.config.update(name, value or str(tmp_path_factory.mktemp("programs")))
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
+
+
+CACHE = {
+    "jax_compilation_cache_dir": None,
+    "jax_persistent_cache_min_compile_time_secs": 0.05,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
+}
+
+
+def interrupted_after(checks):
+    seen = []
+
+    def report(check, total):
+        seen.append(check)
+        if len(seen) == checks:
+            raise Interrupted
+
+    return report
+
+
+def lines(run):
+    return [json.loads(line) for line in (run / METRICS).read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    run, checks = tmp_path_factory.mktemp("runs") / "a", []
+    outcome = train(TINY, run, seed=3, report=lambda check, total: checks.append((check, total)))
+    return run, outcome, checks
+
+
+def test_learns_and_tells(undisturbed):
+    run, outcome, checks = undisturbed
+    assert [(check.epoch, total) for check, total in checks] == [(10, 40), (20, 40), (30, 40), (40, 40)]
+    assert outcome.epochs == 40
+    assert outcome.stopped == ""
+    objective, held_out = ([getattr(check, name) for check, _ in checks] for name in ("objective", "held_out"))
+    assert objective[-1] > objective[0] + 0.3, "a tiny problem must be learned"
+    assert held_out[-1] > held_out[0]
+    assert outcome.best_score == max(held_out)
+    assert outcome.best_epoch == 10 * (1 + int(np.argmax(held_out)))
+    written = lines(run)
+    assert [line["held_out"] for line in written] == held_out
+    assert [line["best"] for line in written] == [h == max(held_out[: i + 1]) for i, h in enumerate(held_out)]
+    experiment, policy, facts = load_run(run)
+    assert experiment == TINY
+    assert facts["epoch"] == outcome.best_epoch
+    assert facts["held_out"] == outcome.best_score
+    keys = jax.random.split(jax.random.key(3), 4)
+    problem = TINY.scenario.problem()
+    episodes = training.held_out_episodes(TINY, problem, keys[1])
+    score, _ = eqx.filter_jit(lambda p: judge(TINY, problem, p, episodes, keys[3]))(policy)
+    assert float(score) == outcome.best_score, "the file holds the policy that earned the score"
+    assert list(run.glob("events*")), "TensorBoard reads the run folder"
+
+
+def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
+    """Also: the same seed twice gives the same bytes, since the first half is trained again from nothing."""
+    run, outcome, _ = undisturbed
+    with pytest.raises(Interrupted):
+        train(TINY, tmp_path / "b", seed=3, report=interrupted_after(2))
+    with (tmp_path / "b" / METRICS).open("a") as file:
+        file.write('{"epoch": 30, "obj')  # a line that was cut by the interruption
+    before = (tmp_path / "b" / BEST).read_bytes()
+    with pytest.raises(ValueError, match="expected the same, got 4"):
+        train(TINY, tmp_path / "b", seed=4, resume=True)
+    other = Experiment(policy=TINY.policy, training=TINY.training)
+    with pytest.raises(ValueError, match="another experiment"):
+        train(other, tmp_path / "b", seed=3, resume=True)
+    with pytest.raises(ValueError, match="exists already"):
+        train(TINY, tmp_path / "b", seed=3)
+    assert (tmp_path / "b" / BEST).read_bytes() == before, "a refused run folder is left as it was"
+    resumed = train(TINY, tmp_path / "b", seed=3, resume=True)
+    assert resumed == outcome
+    assert (tmp_path / "b" / BEST).read_bytes() == (run / BEST).read_bytes()
+    assert same_arrays(run / LAST, tmp_path / "b" / LAST)
+    untimed = [
+        [{k: v for k, v in line.items() if k not in ("elapsed_s", "epochs_per_s")} for line in lines(folder)]
+        for folder in (run, tmp_path / "b")
+    ]
+    assert untimed[0] == untimed[1]
+    elapsed = [line["elapsed_s"] for line in lines(tmp_path / "b")]
+    assert elapsed == sorted(elapsed), "the clock goes on, too"
+
+
+def same_arrays(one, other):
+    with np.load(one) as a, np.load(other) as b:
+        names = set(a.files) - {"header"}
+        return names == set(b.files) - {"header"} and all(a[n].tobytes() == b[n].tobytes() for n in names)
+
+
+def test_a_training_that_explodes_from_the_start(monkeypatch, tmp_path):
+    """For real, from weights so large that products overflow: there is no best yet, and nothing may crash."""
+
+    def begin_badly(policy, settings):
+        made = begin(policy, settings)
+        return eqx.tree_at(lambda m: m.policy, made, jax.tree.map(lambda x: 1e200 * x, policy))
+
+    monkeypatch.setattr(training, "begin", begin_badly)
+    checks = []
+    outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
+    assert "not finite" in outcome.stopped
+    assert [check.event for check in checks] == ["not finite"]
+    assert outcome.epochs == 0, "epochs that are not finite change nothing, and do not count"
+    strict(tmp_path / "r" / METRICS)
+
+
+def strict(path):
+    for line in path.read_text().splitlines():
+        json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+class Constant(Policy):
+    """A stand-in with one weight."""
+
+    weight: jax.Array
+
+    def __call__(self, observation, memory, key):
+        return jnp.full(2, jnp.tanh(self.weight)), memory
+
+
+def learner(weight, epoch):
+    made = begin(Constant(jnp.array(float(weight))), TINY.training)
+    return Learner(made.policy, made.optimizer, jnp.array(epoch))
+
+
+def progress(best=1.0, best_epoch=10, below=0, returns=0):
+    counts = (jnp.array(x) for x in (best_epoch, below, returns))
+    return Progress(learner(0.2, 20), learner(0.1, best_epoch), jnp.array(float(best)), *counts)
+
+
+def weight(of):
+    return float(of.policy.weight)
+
+
+def test_next_keeps_a_better_policy():
+    after, event, stop = training._next(progress(below=3), learner(0.3, 30), 1.5, 0.1, True)
+    assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.3, 0.3, 1.5)
+    assert (int(after.best_epoch), int(after.below), event, stop) == (30, 0, "", "")
+
+
+def test_next_goes_on_from_a_worse_policy():
+    after, event, stop = training._next(progress(), learner(0.3, 30), 0.9, 0.1, True)
+    assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.3, 0.1, 1.0)
+    assert (int(after.best_epoch), int(after.below), event, stop) == (10, 0, "", "")
+
+
+def test_next_returns_to_the_best_from_the_limits():
+    """All commands at their limits: no gradient leads back; even a score that is better is not trusted."""
+    for score in (-1.0, 2.0):
+        after, event, stop = training._next(progress(), learner(9.0, 30), score, 0.95, True)
+        assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
+        assert int(after.learner.epoch) == 30, "the way back is walked on other scenes"
+        assert (int(after.best_epoch), int(after.returns), stop) == (10, 1, "")
+        assert "95% of commands at a limit" in event
+        assert "epoch 10" in event
+
+
+def test_next_returns_after_many_checks_far_below_the_best():
+    now, events = progress(best=3.0), []
+    for k in range(COLLAPSED_CHECKS):
+        now, event, stop = training._next(now, learner(0.5, 30 + k), 1.9, 0.0, True)
+        events.append(bool(event))
+        assert stop == ""
+    assert events == [False] * (COLLAPSED_CHECKS - 1) + [True]
+    assert weight(now.learner) == 0.1
+    assert (int(now.below), int(now.returns)) == (0, 1)
+    now = progress(best=3.0, below=COLLAPSED_CHECKS - 1)
+    after, event, _ = training._next(now, learner(0.5, 30), 2.1, 0.0, True)
+    assert (int(after.below), event) == (0, ""), "one check that is not far below ends the row"
+
+
+def test_next_gives_up_after_some_returns_and_before_anything_was_learned_goes_on():
+    _, event, stop = training._next(progress(returns=RETURNS), learner(9.0, 30), 0.0, 1.0, True)
+    assert event
+    assert "collapsed" in stop
+    after, event, stop = training._next(progress(best=-math.inf, best_epoch=0), learner(9.0, 30), 0.0, 1.0, True)
+    assert (weight(after.learner), event, stop) == (9.0, "", "")
+
+
+def test_next_stops_where_a_number_is_not_finite():
+    after, event, stop = training._next(progress(), learner(math.nan, 30), 5.0, 0.0, False)
+    assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
+    assert event == "not finite"
+    assert "epoch 30" in stop
+
+
+def test_a_policy_at_its_limits_is_seen_as_such():
+    """Really judged: all commands at the limits for a saturated policy, none for one in the middle."""
+    problem = TINY.scenario.problem()
+    episodes = training.held_out_episodes(TINY, problem, jax.random.key(0))
+    places = (episodes.mean, episodes.truth.state)
+    far = eqx.tree_at(lambda e: (e.mean, e.truth.state), episodes, tuple(x + 1e4 for x in places))
+    look = eqx.filter_jit(lambda p: judge(TINY, problem, p, far, jax.random.key(1)))
+    for weight_, share in [(9.0, 1.0), (-9.0, 1.0), (0.1, 0.0)]:
+        score, at_limit = look(Constant(jnp.array(weight_)))
+        assert float(at_limit) == share
+    # Nothing is in view: the belief's variance grows from 2 by four times W.
+    assert float(score) == pytest.approx(-2 * np.log(2.0 + 4 * 0.05**2), abs=1e-9)
+
+
+def stubbed(monkeypatch, script):
+    """`train` with learning and judging replaced by a list of (weight, score, share at a limit, finite)."""
+    steps = iter(script)
+
+    def epochs(problem, scenes, settings, count, learner_, key):
+        moved, *rest = next(steps)
+        after = eqx.tree_at(
+            lambda x: (x.policy, x.epoch), learner_, (moved_policy(learner_, moved), learner_.epoch + count)
+        )
+        judged.append(rest[:2])
+        return after, Report(jnp.array(1.0), jnp.array(1.0 if rest[2] else jnp.inf), jnp.array(rest[2]))
+
+    def moved_policy(learner_, value):
+        return jax.tree.map(lambda x: jnp.full_like(x, value) if eqx.is_array(x) else x, learner_.policy)
+
+    judged = []
+    monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
+    monkeypatch.setattr(training, "held_out_episodes", lambda *args: None)
+    monkeypatch.setattr(training, "epochs", epochs)
+    monkeypatch.setattr(training, "judge", lambda *args: [jnp.array(x) for x in judged[-1]])
+
+
+def best_weight(run):
+    policy = load_run(run)[1]
+    return float(policy.out_layers[0].bias[0])
+
+
+def test_a_number_that_is_not_finite_leaves_the_best_checkpoint_alone(monkeypatch, tmp_path):
+    stubbed(monkeypatch, [(1.0, 2.0, 0.0, True), (2.0, 1.5, 0.0, True), (3.0, math.nan, 0.0, False)])
+    outcome = train(TINY, tmp_path / "r", seed=3)
+    assert "epoch 30" in outcome.stopped
+    assert (outcome.best_epoch, outcome.best_score) == (10, 2.0)
+    assert best_weight(tmp_path / "r") == 1.0
+    like = Progress(*(begin(load_run(tmp_path / "r")[1], TINY.training),) * 2, *[jnp.zeros(())] * 4)
+    last, _ = load_tree(tmp_path / "r" / LAST, like, "training")
+    assert float(last.learner.policy.out_layers[0].bias[0]) == 1.0
+    strict(tmp_path / "r" / METRICS)
+
+
+def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
+    stubbed(monkeypatch, [(1.0, 2.0, 0.0, True), (9.0, 0.0, 1.0, True), (3.0, 2.5, 0.0, True), (4.0, 2.4, 0.0, True)])
+    checks = []
+    outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
+    assert [bool(check.event) for check in checks] == [False, True, False, False]
+    assert [check.epoch for check in checks] == [10, 20, 30, 40]
+    assert (outcome.returns, outcome.best_epoch, outcome.best_score) == (1, 30, 2.5)
+    assert best_weight(tmp_path / "r") == 3.0
+
+
+@pytest.mark.xfail(raises=ValueError, reason="best.npz is never written where every check is at the limits")
+def test_a_run_in_which_nothing_was_ever_good_can_still_be_loaded(monkeypatch, tmp_path):
+    """Saturated from the first check to the last: there is something to look at all the same."""
+    stubbed(monkeypatch, [(9.0, 0.0, 1.0, True)] * 4)
+    train(TINY, tmp_path / "r", seed=3)
+    assert load_run(tmp_path / "r")
+
+
+def test_an_existing_folder_is_refused_and_untouched(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match="exists already") as caught:
+        train(TINY, tmp_path)
+    assert str(caught.value).startswith(str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    with pytest.raises(ValueError, match="exists already"):
+        train(TINY, tmp_path / "notes.txt")
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):
+    with pytest.raises(ValueError, match=r"config\.toml"):
+        train(TINY, tmp_path / "none", resume=True)
+    assert not (tmp_path / "none").exists()

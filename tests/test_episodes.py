@@ -1,0 +1,298 @@
+"""Scenes and chance: their distributions by statistical tests at fixed seeds, and what must not change a number."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from scipy.stats import chisquare, kstest
+
+from foveate.episodes import Drawn, Noise, draw, draw_noise, draw_size, episode_of, scene_episodes, scene_noise, suite, table1
+from foveate.scenario import DriftTarget, LinearTarget, Scenario, SceneSettings, SensorSettings
+from foveate.scenes import Scene
+
+PAPER = Scenario()
+COUNT = 3000
+W = np.array([[0.09, 0.03], [0.03, 0.04]])
+V = np.array([[0.05, -0.02], [-0.02, 0.03]])
+
+
+def uniform(values, low, high):
+    """Within the bounds, and uniform as far as a Kolmogorov-Smirnov test can tell."""
+    values = np.ravel(values)
+    assert (values >= low).all()
+    assert (values <= high).all()
+    return kstest(values, "uniform", (low, high - low)).pvalue > 1e-3
+
+
+def drawn(settings, test=False):
+    """Many scenes, as numpy arrays."""
+    problem = PAPER.problem()
+    uniform = jax.random.uniform(jax.random.key(5), (COUNT, draw_size(settings, problem)), minval=-1.0)
+    scenes = jax.jit(jax.vmap(lambda numbers: draw(settings, problem, numbers, test)))(uniform)
+    return jax.tree.map(np.asarray, scenes)
+
+
+@pytest.mark.parametrize("test", [False, True], ids=["training", "test"])
+def test_scenes_of_the_paper(test):
+    scenes = drawn(SceneSettings(), test)
+    n = scenes.present.sum(axis=1)
+    assert chisquare(np.bincount(n, minlength=9)[3:9]).pvalue > 1e-3
+    assert n.min() == 3
+    assert n.max() == 8
+    assert (np.diff(scenes.present.astype(int), axis=1) <= 0).all(), "the real targets come first"
+    np.testing.assert_array_equal(scenes.horizon, 3 * n)
+    side = 2.0 * n[:, None]
+    assert uniform((scenes.position / side[:, None])[scenes.present], -1, 1)
+    assert uniform(scenes.pose[:, 2], -np.pi, np.pi)
+    agent = scenes.pose[:, :2]
+    assert uniform(agent, -2, 2) if test else uniform(agent / (1.25 * side), -1, 1)
+    assert uniform(scenes.drift[:, 0], -0.8, 0.8)
+    np.testing.assert_array_equal(scenes.drift, scenes.drift[:, :1] * np.ones((1, 8, 1)))
+    for axis in range(2):  # nothing hangs together with anything else
+        several = [scenes.pose[:, axis], scenes.position[:, 0, axis] / side[:, 0], scenes.drift[:, 0, axis], n]
+        correlation = np.corrcoef([*several, scenes.position[:, 1, 0] / side[:, 0], scenes.pose[:, 2]])
+        assert np.abs(correlation - np.eye(6)).max() < 0.08
+
+
+def test_scenes_of_other_settings():
+    settings = SceneSettings(
+        targets_min=2,
+        targets_max=4,
+        centre_m=(10.0, -5.0),
+        half_side_m=(3.0, 1.0),
+        half_side_per_target_m=0.5,
+        drift_m_s=(0.3, 0.3),
+        shared_drift=False,
+        steps=17,
+    )
+    scenes = drawn(settings)
+    n = scenes.present.sum(axis=1)
+    side = np.array([3.0, 1.0]) + 0.5 * n[:, None]
+    centred = (scenes.position - settings.centre_m) / side[:, None]
+    for axis in range(2):
+        assert uniform(centred[..., axis], -1, 1)
+        assert uniform((scenes.pose[:, axis] - settings.centre_m[axis]) / (1.25 * side[:, axis]), -1, 1)
+    assert (scenes.horizon == 17).all()
+    assert uniform(scenes.drift, -0.3, 0.3)
+    assert abs(np.corrcoef(scenes.drift[:, 0, 0], scenes.drift[:, 1, 0])[0, 1]) < 0.08
+
+
+def test_noise_of_training():
+    """Standard normals and uniform jitter, none of them twice."""
+    keys = jax.random.split(jax.random.key(2), COUNT)
+    noise = jax.jit(jax.vmap(lambda key: draw_noise(PAPER.problem(), key, 4, 3)))(keys)
+    parts = [np.asarray(x).reshape(COUNT, -1) for x in (noise.process, noise.measurement, noise.first)]
+    assert [part.shape[1] for part in parts] == [24, 24, 6]
+    normal = np.concatenate(parts, axis=1)
+    assert kstest(normal.ravel(), "norm").pvalue > 1e-3
+    assert uniform(noise.jitter, -1, 1)
+    everything = np.concatenate([normal, np.asarray(noise.jitter).reshape(COUNT, -1)], axis=1)
+    assert np.abs(np.corrcoef(everything.T) - np.eye(78)).max() < 0.1
+
+
+def episodes(scenario, targets=3, steps=4):
+    """Many episodes with truth, and the scenes and noise, from numpy, that they are made of."""
+    problem, rng, box = scenario.problem(), np.random.default_rng(7), (COUNT, targets, 2)
+    size = problem.motion.state_size
+    scene = {
+        "pose": rng.normal(size=(COUNT, 3)),
+        "position": rng.uniform(-6, 6, box),
+        "drift": rng.uniform(-0.8, 0.8, box),
+        "present": np.ones((COUNT, targets), bool),
+        "horizon": np.full(COUNT, steps),
+    }
+    noise = {
+        "jitter": rng.uniform(-1, 1, (COUNT, steps, targets, 2)),
+        "process": rng.normal(size=(COUNT, steps, targets, size)),
+        "measurement": rng.normal(size=(COUNT, steps, targets, 2)),
+        "first": rng.normal(size=(COUNT, targets, size)),
+    }
+
+    def one(scene, noise):
+        return episode_of(problem, scenario.scenes, Drawn(**scene), Noise(**noise))
+
+    made = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(scene, noise))
+    return SimpleNamespace(**scene), SimpleNamespace(**noise), made
+
+
+def covariance_of(samples):
+    flat = samples.reshape(-1, samples.shape[-1])
+    assert np.abs(flat.mean(axis=0)).max() < 5 * flat.std() / np.sqrt(len(flat))
+    return flat.T @ flat / len(flat)
+
+
+FIXED = SceneSettings(targets_min=3, targets_max=3)
+DRIFTING = Scenario(
+    tau_s=0.5, target=DriftTarget(W=tuple(map(tuple, W))), sensor=SensorSettings(V=tuple(map(tuple, V))), scenes=FIXED
+)
+
+
+def test_truth_of_drifting_targets():
+    scene, noise, episode = episodes(DRIFTING)
+    truth = episode.truth.state
+    np.testing.assert_allclose(truth[:, 0], scene.position, atol=1e-12)
+    jitter = episode.inputs / 0.5 - scene.drift[:, None]
+    assert uniform(jitter, -0.5, 0.5)
+    assert abs(np.corrcoef(jitter[:, 0, 0, 0], jitter[:, 1, 0, 0])[0, 1]) < 0.08, "anew at each step"
+    assert abs(np.corrcoef(jitter[:, 0, 0, 0], jitter[:, 0, 1, 0])[0, 1]) < 0.08, "each target its own"
+    np.testing.assert_allclose(covariance_of(truth[:, 1:] - truth[:, :-1] - episode.inputs), W, atol=2e-3)
+    np.testing.assert_allclose(covariance_of(episode.mean - truth[:, 0]), V, atol=2e-3)
+    np.testing.assert_array_equal(episode.truth.measurement_noise, noise.measurement)
+
+
+def test_consistent_first_error_unknown_drift_and_no_process_noise():
+    changes = {"initial_error": "consistent", "known_drift": False, "process_noise": False}
+    scene, noise, episode = episodes(replace(DRIFTING, scenes=replace(FIXED, **changes)))
+    truth = episode.truth.state
+    np.testing.assert_array_equal(episode.inputs, 0)
+    moved = 0.5 * (scene.drift[:, None] + 0.5 * noise.jitter)
+    np.testing.assert_allclose(truth[:, 1:] - truth[:, :-1], moved, atol=1e-12)
+    np.testing.assert_allclose(covariance_of(episode.mean - truth[:, 0]), 2 * np.eye(2), atol=0.15)
+
+
+EYE, NONE = np.eye(2), np.zeros((2, 2))
+A4 = np.block([[EYE, 0.5 * EYE], [NONE, 0.9 * EYE]])
+W4 = 0.1 * np.array([[2.0, 0.5, 0.3, 0], [0.5, 1, 0, 0.2], [0.3, 0, 1, 0], [0, 0.2, 0, 1]])
+
+
+B4, Z4 = np.eye(4, 2), np.eye(2, 4)
+
+
+def moving(A=A4, W=W4, B=B4, Z=Z4):
+    prior = np.diag([2.0, 2.0, 0.5, 0.5])
+    parts = {name: tuple(map(tuple, m.tolist())) for name, m in zip("ABWZ", (A, B, W, Z), strict=True)}
+    return LinearTarget(kind="linear", prior=tuple(map(tuple, prior.tolist())), **parts)
+
+
+def test_truth_of_moving_targets():
+    """With velocities in the state the drift is the initial velocity, and nothing is driven from outside."""
+    scenario = replace(PAPER, target=moving(), scenes=replace(FIXED, initial_error="consistent"))
+    scene, _, episode = episodes(scenario)
+    truth = episode.truth.state
+    np.testing.assert_allclose(truth[:, 0], np.concatenate([scene.position, scene.drift], axis=-1), atol=1e-12)
+    np.testing.assert_array_equal(episode.inputs, 0)
+    np.testing.assert_allclose(covariance_of(truth[:, 1:] - truth[:, :-1] @ A4.T), W4, atol=6e-3)
+    np.testing.assert_allclose(covariance_of(episode.mean - truth[:, 0]), np.diag([2, 2, 0.5, 0.5]), atol=0.15)
+
+
+@pytest.mark.xfail(reason="the drift is added to the second d-vector of the state, whatever Z says", strict=True)
+def test_positions_of_a_state_in_another_order_are_those_of_the_scene():
+    """State [x, v_x, y, v_y]: whatever becomes of the drift, the first positions are given by the scene."""
+    order = np.eye(4)[[0, 2, 1, 3]]  # interleaved = order @ stacked
+    scenario = replace(PAPER, target=moving(order @ A4 @ order.T, order @ W4 @ order.T, order[:, :2], order.T[:2]))
+    problem = scenario.problem()
+    scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 2.0),), drift=((0.5, -0.25),), horizon=2)
+    episode = scene_episodes(problem, scenario.scenes, [scene], 0, 1)
+    np.testing.assert_allclose(problem.motion.position(episode.truth.state[0, 0]), [[1.0, 2.0]], atol=1e-12)
+
+
+SMALL = Scene(id="small", agent=(0.5, 1.0, 2.0), targets=((1.0, 2.0), (3.0, -1.0)), drift=((0.1, 0.0),) * 2, horizon=4)
+LARGE = Scene(id="large", agent=(0.0, 0.0, 0.0), targets=((0.0, 2.0),) * 4, drift=((0.0, 0.0),) * 4, horizon=7)
+
+
+def test_chance_of_an_episode_depends_on_nothing_else():
+    """Neither on the padding, nor on the order, nor on the other scenes, nor on how many episodes there are."""
+    problem, settings = PAPER.problem(), PAPER.scenes
+    alone = scene_episodes(problem, settings, [SMALL], 3, 2)
+    among = scene_episodes(problem, settings, [LARGE, SMALL], 3, 3)
+    assert among.mean.shape == (6, 4, 2)
+    assert among.inputs.shape == (6, 7, 4, 2)
+    np.testing.assert_array_equal(among.horizon, [7, 7, 7, 4, 4, 4])
+    np.testing.assert_array_equal(among.present.sum(axis=1), [4, 4, 4, 2, 2, 2])
+    for k in range(2):
+        here, there = (jax.tree.map(lambda x, i=i: np.asarray(x[i]), e) for e, i in ((alone, k), (among, 3 + k)))
+        for mine, other in [
+            (here.mean, there.mean[:2]),
+            (here.inputs, there.inputs[:4, :2]),
+            (here.truth.state, there.truth.state[:5, :2]),
+            (here.truth.measurement_noise, there.truth.measurement_noise[:4, :2]),
+            (here.pose, there.pose),
+        ]:
+            np.testing.assert_array_equal(mine, other)
+        np.testing.assert_allclose(here.truth.state[0], SMALL.targets, atol=1e-12)
+    assert not np.array_equal(alone.mean[0], alone.mean[1])
+
+
+def test_chance_differs_by_seed_scene_and_episode():
+    problem = PAPER.problem()
+    cases = [(SMALL, 0, 0), (SMALL, 0, 1), (SMALL, 1, 0), (replace(SMALL, id="other"), 0, 0)]
+    firsts = [scene_noise(problem, *case)["process"][0, 0, 0] for case in cases]
+    assert len(set(firsts)) == 4
+    everything = [scene_noise(problem, replace(SMALL, horizon=2000), 0, k) for k in range(2)]
+    assert kstest(everything[0]["measurement"].ravel(), "norm").pvalue > 1e-3
+    assert uniform(everything[0]["jitter"], -1, 1)
+    both = [np.ravel(e["process"]) for e in everything]
+    assert abs(np.corrcoef(both)[0, 1]) < 0.06
+
+
+@pytest.fixture(scope="module")
+def suite180():
+    return table1(PAPER.problem())
+
+
+def test_table1_is_the_papers_suite(suite180):
+    scenes = suite180
+    assert len(scenes) == len({scene.id for scene in scenes}) == 180
+    for biased in (False, True):
+        for n in (3, 5, 7):
+            cell = [s for s in scenes if len(s.targets) == n and (s.motion == "biased") == biased]
+            assert len(cell) == 30
+            assert {s.horizon for s in cell} == {3 * n}
+            assert uniform([s.targets for s in cell], -2 * n, 2 * n)
+            assert uniform([s.agent[:2] for s in cell], -2, 2)
+            assert uniform([s.agent[2] for s in cell], -np.pi, np.pi)
+            drift = np.array([s.drift for s in cell])
+            assert (drift == drift[:, :1]).all(), "one drift for all targets of a scene"
+            assert uniform(drift[:, 0], -0.8, 0.8) if biased else not drift.any()
+
+
+IN_SINGLE_PRECISION = """
+import json
+import jax.numpy as jnp
+from dataclasses import asdict
+from foveate.episodes import scene_episodes, table1
+from foveate.scenario import Scenario
+scenario = Scenario()
+problem = scenario.problem()
+assert problem.tau.dtype == jnp.float32
+scenes = table1(problem)
+episode = scene_episodes(problem, scenario.scenes, scenes[::60], 0, 1)
+print(json.dumps([[asdict(s) for s in scenes], episode.truth.state.tolist(), episode.mean.tolist()]))
+"""
+
+
+@pytest.fixture(scope="module")
+def in_single_precision():
+    command = [sys.executable, "-c", IN_SINGLE_PRECISION]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+@pytest.mark.xfail(reason="positions beyond 8 m have no micrometres in float32: 78 of 180 scenes differ")
+def test_table1_is_the_same_in_both_precisions(suite180, in_single_precision):
+    """A scene is what its file says: written by one process, it must be the one that another would draw."""
+    scenes, _, _ = in_single_precision
+    ours = json.loads(json.dumps([vars(s) for s in suite180]))
+    different = sum(a != b for a, b in zip(ours, scenes, strict=True))
+    assert different == 0, f"{different} of 180 scenes differ"
+
+
+def test_episodes_are_nearly_the_same_in_both_precisions(suite180, in_single_precision):
+    _, truth, mean = in_single_precision
+    episode = scene_episodes(PAPER.problem(), PAPER.scenes, suite180[::60], 0, 1)
+    np.testing.assert_allclose(truth, episode.truth.state, atol=3e-5)
+    np.testing.assert_allclose(mean, episode.mean, atol=1e-5)
+
+
+def test_a_suite_of_other_settings_keeps_them():
+    settings = SceneSettings(half_side_m=(1.0, 1.0), half_side_per_target_m=0.0, steps=5)
+    scenes = suite(settings, PAPER.problem(), seed=1, targets=2, count=4, biased=True)
+    assert [len(s.targets) for s in scenes] == [2] * 4
+    assert {s.horizon for s in scenes} == {5}
+    assert np.abs([s.targets for s in scenes]).max() <= 1
+    other = suite(settings, PAPER.problem(), seed=2, targets=2, count=4, biased=True)
+    assert not {s.agent for s in scenes} & {s.agent for s in other}

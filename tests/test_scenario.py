@@ -1,0 +1,213 @@
+"""Settings: everything wrong is refused in one line that names field and value; TOML gives back what it was given."""
+
+import math
+
+import numpy as np
+import pytest
+
+from foveate.configuration import dumps_toml, load_toml
+from foveate.policies.attention import AttentionSettings
+from foveate.scenario import (
+    DifferentialDrive,
+    DriftTarget,
+    LinearTarget,
+    PolygonView,
+    Scenario,
+    SceneSettings,
+    SectorView,
+    SensorSettings,
+    TriangleView,
+)
+from foveate.settings import Experiment, TrainingSettings
+
+EYE = ((1.0, 0.0), (0.0, 1.0))
+TURNED = ((0.5, 0.5), (0.5, 0.5))
+"""Rank 1, not along an axis."""
+
+
+def linear(**changes):
+    parts = {"A": EYE, "B": EYE, "W": ((0.01, 0.0), (0.0, 0.01)), "Z": EYE, "prior": EYE}
+    return LinearTarget(kind="linear", **{**parts, **changes})
+
+
+FOUR = linear(
+    A=((1.0, 0.0, 0.1, 0.0), (0.0, 1.0, 0.0, 0.1), (0.0, 0.0, 0.9, 0.05), (0.0, 0.0, 0.0, 0.9)),
+    B=((0.005, 0.0), (0.0, 0.005), (0.1, 0.0), (0.0, 0.1)),
+    W=((0.02, 0.01, 0.0, 0.0), (0.01, 0.03, 0.0, 0.0), (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.0, 1e-3)),
+    Z=((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)),
+    prior=((2.0, 0.0, 0.0, 0.1), (0.0, 2.0, 0.0, 0.0), (0.0, 0.0, 1 / 3, 0.0), (0.1, 0.0, 0.0, 0.7)),
+)
+SPARSE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+BAD = {
+    "tau": (lambda: Scenario(tau_s=0.0), "tau_s = 0.0"),
+    "negative tau": (lambda: Scenario(tau_s=-1.0), "tau_s = -1.0"),
+    "tau no number": (lambda: Scenario(tau_s=math.nan), "tau_s = nan"),
+    "speeds": (lambda: DifferentialDrive(v_min_m_s=2.0, v_max_m_s=2.0), "v_max_m_s = 2.0"),
+    "turn rate": (lambda: DifferentialDrive(w_max_rad_s=0.0), "w_max_rad_s = 0.0"),
+    "depth": (lambda: TriangleView(depth_m=0.0), "depth_m = 0.0"),
+    "angle": (lambda: TriangleView(angle_deg=180.0), "angle_deg = 180.0"),
+    "sector depth": (lambda: SectorView(depth_m=-1.0), "depth_m = -1.0"),
+    "sector angle": (lambda: SectorView(angle_deg=361.0), "angle_deg = 361.0"),
+    "polygon": (lambda: PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (1.0, 1.0))), "vertices"),
+    "hollow": (
+        lambda: PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (2.0, 0.0), (0.5, 0.5), (0.0, 2.0))),
+        "convex",
+    ),
+    "std": (lambda: SensorSettings(std_m=0.0), "std_m = 0.0"),
+    "growth": (lambda: SensorSettings(range_growth_per_m=-0.1), "range_growth_per_m = -0.1"),
+    "V singular": (lambda: SensorSettings(V=TURNED), "V = ((0.5, 0.5)"),
+    "V negative": (lambda: SensorSettings(V=((-1.0,),)), "V = ((-1.0,),)"),
+    "V not symmetric": (lambda: SensorSettings(V=((1.0, 0.1), (0.0, 1.0))), "symmetric"),
+    "V not square": (lambda: SensorSettings(V=SPARSE), "expected shape 2 x 2, got 2 x 3"),
+    "H ragged": (lambda: SensorSettings(H=((1.0, 0.0), (1.0,))), "H = ((1.0, 0.0), (1.0,))"),
+    "H empty": (lambda: SensorSettings(H=()), "H = ()"),
+    "H too wide": (lambda: Scenario(sensor=SensorSettings(H=SPARSE)), "sensor.H has 3 columns: expected 2"),
+    "V of another size": (lambda: Scenario(sensor=SensorSettings(V=((1.0,),))), "sensor.V is 1 x 1: expected 2 x 2"),
+    "body noise of a part": (
+        lambda: Scenario(sensor=SensorSettings(H=((1.0, 0.0),), V=((1.0,),), frame="body")),
+        "sensor.frame = 'body'",
+    ),
+    "more measurements than states": (
+        lambda: Scenario(sensor=SensorSettings(H=(*EYE, (1.0, 1.0)))).problem(),
+        "H",
+    ),
+    "process std": (lambda: DriftTarget(process_std_m=-0.1), "process_std_m = -0.1"),
+    "first variance": (lambda: DriftTarget(initial_variance_m2=0.0), "initial_variance_m2 = 0.0"),
+    "W negative": (lambda: DriftTarget(W=((1.0, 2.0), (2.0, 1.0))), "no negative eigenvalue"),
+    "W not symmetric": (lambda: DriftTarget(W=((1.0, 0.5), (0.0, 1.0))), "symmetric"),
+    "W of another size": (lambda: Scenario(target=DriftTarget(W=((1.0,),))), "expected shape 2 x 2, got 1 x 1"),
+    "A not square": (lambda: linear(A=SPARSE), "expected shape 2 x 2, got 2 x 3"),
+    "B of another height": (lambda: linear(B=((1.0,),)), "B = ((1.0,),): expected shape 2 x any, got 1 x 1"),
+    "linear W": (lambda: linear(W=((0.0, 1.0), (1.0, 0.0))), "W = ((0.0, 1.0), (1.0, 0.0))"),
+    "prior": (lambda: linear(prior=TURNED), "prior = ((0.5, 0.5)"),
+    "Z of another width": (lambda: Scenario(target=linear(Z=SPARSE)), "expected shape 2 x 2, got 2 x 3"),
+    "Z of rank 1": (lambda: Scenario(target=linear(Z=TURNED)), "expected rank 2"),
+    "A loses what W does not restore": (lambda: linear(A=TURNED, W=TURNED), "singular"),
+    "A = 0, W = 0": (lambda: linear(A=((0.0, 0.0),) * 2, W=((0.0, 0.0),) * 2), "singular"),
+    "targets": (lambda: SceneSettings(targets_min=0), "targets_min = 0"),
+    "targets in order": (lambda: SceneSettings(targets_min=4, targets_max=3), "targets_max = 3"),
+    "spread": (lambda: SceneSettings(agent_spread=-1.0), "agent_spread = -1.0"),
+    "drift": (lambda: SceneSettings(drift_m_s=(0.1, -0.8)), "drift_m_s = (0.1, -0.8)"),
+    "drifts": (lambda: SceneSettings(drift_m_s=(0.1,)), "drift_m_s = (0.1,)"),
+    "box": (lambda: SceneSettings(half_side_m=(1.0, -1.0)), "half_side_m = (1.0, -1.0)"),
+    "centre": (lambda: SceneSettings(centre_m=(0.0,)), "centre_m = (0.0,)"),
+    "centre in space": (
+        lambda: Scenario(scenes=SceneSettings(centre_m=(0.0,) * 3, half_side_m=(0.0,) * 3, drift_m_s=(0.0,) * 3)),
+        "scenes.centre_m = (0.0, 0.0, 0.0)",
+    ),
+    "steps a target": (lambda: SceneSettings(steps_per_target=0), "steps_per_target = 0"),
+    "steps": (lambda: SceneSettings(steps=0), "steps = 0"),
+    "epochs": (lambda: TrainingSettings(epochs=0), "epochs = 0"),
+    "rate": (lambda: TrainingSettings(learning_rate=0.0), "learning_rate = 0.0"),
+    "softness": (lambda: TrainingSettings(softness=()), "softness = ()"),
+    "kappa": (lambda: TrainingSettings(softness=((1.0, 0.4), (1.0, 0.0))), "softness = ((1.0, 0.4), (1.0, 0.0))"),
+}
+
+
+NOT_YET = pytest.mark.xfail(reason="refused only by a matrix product, when the first mean is drawn")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=NOT_YET) if name.startswith("more") else name for name in BAD]
+)
+def test_bad_settings(name):
+    make, words = BAD[name]
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the words are compared below
+        make()
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_singular_motion_is_fine_where_noise_restores_it():
+    """A = [[1, 1], [1, 1]] / 2 loses (1, -1); W along (1, -1) restores it, W along (1, 1) does not."""
+    restores = ((0.1, -0.1), (-0.1, 0.1))
+    motion = Scenario(target=linear(A=TURNED, W=restores)).problem().motion
+    predicted = np.asarray(motion.A) @ np.asarray(motion.A).T + np.asarray(motion.W)
+    assert np.linalg.eigvalsh(predicted).min() > 0.1
+    np.testing.assert_allclose(Scenario(target=DriftTarget(process_std_m=0.0)).problem().motion.W, 0)
+
+
+def test_the_default_is_the_papers_experiment():
+    problem = Scenario().problem()
+    np.testing.assert_allclose(problem.agent.lower, [0, -np.pi / 3])
+    np.testing.assert_allclose(problem.agent.upper, [4, np.pi / 3])
+    assert problem.agent.axes == (0, 2)
+    np.testing.assert_allclose(problem.sensor.V, 0.2**2 * np.eye(2))
+    np.testing.assert_allclose(problem.sensor.H, np.eye(2))
+    np.testing.assert_allclose(problem.motion.W, 0.05**2 * np.eye(2))
+    np.testing.assert_allclose(problem.prior_information, 0.5 * np.eye(2))
+    assert float(problem.tau) == 1.0
+    half = 2 * np.tan(np.pi / 3)
+    np.testing.assert_allclose(sorted(problem.sensor.view.vertices.tolist()), [[0, 0], [2, -half], [2, half]])
+    assert Scenario().scenes.horizon(5) == 15
+    assert Scenario().scenes.horizon(0) == 3
+
+
+def test_full_matrices_reach_the_problem():
+    sensor = SensorSettings(V=((0.5,),), H=((0.0, 1.0, 0.0, 2.0),), range_growth_per_m=0.1)
+    problem = Scenario(target=FOUR, sensor=sensor).problem()
+    np.testing.assert_allclose(problem.prior_information @ np.array(FOUR.prior), np.eye(4), atol=1e-12)
+    for name in "ABWZ":
+        np.testing.assert_array_equal(getattr(problem.motion, name), getattr(FOUR, name))
+    np.testing.assert_array_equal(problem.sensor.H, sensor.H)
+    np.testing.assert_array_equal(problem.sensor.V, sensor.V)
+
+
+EXPERIMENTS = {
+    "default": Experiment(),
+    "everything": Experiment(
+        scenario=Scenario(
+            tau_s=0.1,
+            agent=DifferentialDrive(v_min_m_s=-0.5, v_max_m_s=1 / 3, w_max_rad_s=0.7),
+            view=SectorView(depth_m=7.5, angle_deg=360.0),
+            sensor=SensorSettings(V=((0.05, 0.01), (0.01, 0.02)), frame="body", range_growth_per_m=0.25),
+            target=FOUR,
+            scenes=SceneSettings(
+                targets_min=1, targets_max=20, centre_m=(1.5, -2.5), half_side_m=(30.0, 1e-3), steps=50,
+                shared_drift=False, known_drift=False, process_noise=False, initial_error="consistent",
+            ),
+        ),
+        policy=AttentionSettings(frame="world", agent_widths=(8,), target_widths=(3, 8), out_widths=(5, 4), alpha=0.3),
+        training=TrainingSettings(
+            epochs=7, learning_rate=1e-4, schedule="cosine", softness=((1.0, 0.4), (0.3, 0.25)), objective="mean",
+            noise=True, select="true",
+        ),
+    ),
+    "polygon": Experiment(
+        scenario=Scenario(
+            view=PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (3.0, -1.0), (3.0, 1.0))),
+            target=DriftTarget(W=((0.1, 0.05), (0.05, 0.2))),
+        )
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_toml_round_trip(tmp_path, name):
+    path, experiment = tmp_path / "config.toml", EXPERIMENTS[name]
+    path.write_text(dumps_toml(experiment, "a header"))
+    assert load_toml(Experiment, path) == experiment
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[scenario]\ntau_s = 0", "scenario: tau_s = 0.0"),
+        ("[scenario.view]\nshape = 'triangle'\ndepth_m = -1", "scenario.view: depth_m = -1.0"),
+        ("[scenario.target]\nkind = 'drift'\nW = [[1, 2], [2, 1]]", "scenario.target: W = ((1.0, 2.0), (2.0, 1.0))"),
+        ("[scenario.target]\nkind = 'orbit'", "scenario.target.kind = 'orbit'"),
+        ("[scenario.target]\nkind = 'linear'\nA = [[1.0]]", "scenario.target.B: is missing"),
+        ("[scenario.sensor]\nstd = 0.1", "scenario.sensor.std = 0.1: unknown key; did you mean std_m?"),
+        ("[policy]\nframe = 'bodies'", "policy.frame = 'bodies'"),
+        ("[training]\nepochs = 2.5", "training.epochs = 2.5"),
+        ("[training]\nlearning_rate = nan", "training.learning_rate = nan"),
+    ],
+)
+def test_bad_toml(tmp_path, text, words):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"bad\.toml") as caught:
+        load_toml(Experiment, path)
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
