@@ -12,14 +12,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from foveate.animation import animate
 from foveate.checkpoint import load_run
 from foveate.cli.common import Bar, keep_compiled, print_table
 from foveate.episodes import table1
 from foveate.evaluation import evaluate, prepare, result, simulate, summarise
-from foveate.animation import animate
 from foveate.figures import learning_curve, trajectory_figure
-from foveate.film import film
 from foveate.files import write_json
+from foveate.film import film
 from foveate.learning.training import METRICS, train
 from foveate.published import MODEL_BASED, MODEL_FREE
 from foveate.rollout import PROTOCOLS
@@ -34,7 +34,7 @@ def main() -> None:
     began = time.perf_counter()
     shutil.rmtree(OUT, ignore_errors=True)
     experiment = PRESETS["paper"]
-    print(f"training preset `paper` into {OUT}: {experiment.training.epochs} epochs of {experiment.training.episodes} episodes")
+    print(f"training into {OUT}: {experiment.training.epochs} epochs of {experiment.training.episodes} episodes")
     with Bar("training", experiment.training.epochs, "epochs") as bar:
         outcome = train(
             experiment, OUT, seed=0, report=lambda check, _: bar.update(check.epoch, f"held-out {check.held_out:.2f}")
@@ -56,7 +56,7 @@ def main() -> None:
         i = next(i for i, scene in enumerate(suite.scenes) if scene.id == f"biased-{targets}-00")
         scene = suite.scenes[i]
         one = jax.tree.map(lambda x, i=i: x[i], trace)
-        title = f"{targets} targets, biased motion"
+        title = "biased motion, true score"
         films.append(film(problem, one, np.asarray(suite.truth.state[i]), scene.horizon, targets, title))
     trajectory_figure(films, OUT / "trajectories.png")
     learning_curve([OUT / METRICS], OUT / "learning_curve.png")
@@ -83,8 +83,16 @@ def _print(summary) -> None:
                 f"{real.seen_fraction:.0%}",
             )
         )
-    title = "score per target [nat], 30 scenes a cell: the paper's surrogate score, and the true one of the real Kalman filter"
-    header = ("motion", "scene", "paper: PPO", "paper: model-based", "foveate: surrogate", "foveate: true", "really seen")
+    title = "score per target [nat], 30 scenes a cell: the paper's surrogate score, and the true one of a real filter"
+    header = (
+        "motion",
+        "scene",
+        "paper: PPO",
+        "paper: model-based",
+        "foveate: surrogate",
+        "foveate: true",
+        "really seen",
+    )
     print_table(title, header, lines)
 
 

@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare, kstest
 
-from foveate.episodes import Drawn, Noise, draw, draw_noise, draw_size, episode_of, scene_episodes, scene_noise, suite, table1
+from foveate.episodes import (
+    Drawn,
+    Noise,
+    draw,
+    draw_noise,
+    draw_size,
+    episode_of,
+    scene_episodes,
+    scene_noise,
+    suite,
+    table1,
+)
 from foveate.scenario import DriftTarget, LinearTarget, Scenario, SceneSettings, SensorSettings
 from foveate.scenes import Scene
 

@@ -63,7 +63,7 @@ def test_chi_square_band_of_a_single_episode_is_a_band():
         expected = chi2.interval(0.95, dof)
         assert 0 <= low < high
         np.testing.assert_allclose(low, expected[0], atol=0.05)
-        np.testing.assert_allclose(high, expected[1], rtol=0.01)
+        np.testing.assert_allclose(high, expected[1], rtol=0.03)
 
 
 def test_measures_by_hand():
@@ -183,6 +183,7 @@ def always_seen():
 def test_an_honest_filter_has_an_honest_nees(always_seen):
     suite, trace = always_seen
     assert trace.visible.all()
+    assert len(np.unique(trace.action)) == trace.action.size, "a new action every step"
     assert trace.mean.shape == (400, 7, 3, 2)
     error = trace.mean - np.asarray(suite.truth.state)
     nees = np.einsum("ekni,eknij,eknj->kn", error, trace.information, error) / 400

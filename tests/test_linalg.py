@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.linalg import inverse_spd, log_det_spd, multiply, symmetrise, vech
+from foveate.linalg import cholesky_spd, inverse_spd, log_det_spd, multiply, symmetrise, vech
 
 SIZES = pytest.mark.parametrize("size", range(1, 7))
 DTYPES = pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -43,8 +43,14 @@ def matrices(size):
 def results(size, dtype):
     """Matrices as rounded, inverses and log determinants: one compilation for a size and precision."""
     given = matrices(size).astype(dtype)
-    inverse, log_det = jax.jit(lambda m: (inverse_spd(m), log_det_spd(m)))(given)
-    assert inverse.dtype == log_det.dtype == dtype
+    inverse, log_det, root = jax.jit(lambda m: (inverse_spd(m), log_det_spd(m), cholesky_spd(m)))(given)
+    assert inverse.dtype == log_det.dtype == root.dtype == dtype
+    good = given.reshape(12, size, size)[GROUPS["good"]]
+    np.testing.assert_allclose(
+        np.reshape(root, (12, size, size))[GROUPS["good"]],
+        np.linalg.cholesky(good.astype(float)),
+        atol=1e-10 if dtype is np.float64 else 1e-5,
+    )
     assert inverse.shape == given.shape
     assert log_det.shape == given.shape[:2]
     flat = (12, size, size)

@@ -110,7 +110,7 @@ class World:
         V = R @ self.V @ R.T if self.frame == "body" else self.V
         return V * (1 + self.growth * np.hypot(*point_body)) ** 2
 
-    def simulate(self, levels):
+    def simulate(self, levels, at_truth=False):
         """pose, action, mean, covariance (per level), visible, of every step; NaN where a target is not there."""
         K, n = self.inputs.shape[:2]
         alive, weights_of = self.alive(), [lambda d, c=level: soft_weight(d, *c) for level in levels]
@@ -138,7 +138,8 @@ class World:
                         z = self.H @ self.truth[k + 1, j] + root @ self.noise[k, j]
                         S = self.H @ P[-1][j] @ self.H.T + V
                         mean[j] = mean[j] + P[-1][j] @ self.H.T @ np.linalg.solve(S, z - self.H @ mean[j])
-                weights = [f(triangle_distance(point)) for f in weights_of] if levels else [float(look[j])]
+                where = to_body(pose, self.truth[k + 1, j, :2]) if at_truth else point
+                weights = [f(triangle_distance(where)) for f in weights_of] if levels else [float(look[j])]
                 for level, weight in zip(P, weights, strict=True):
                     if weight > 1e-300:  # a measurement whose noise is V / weight
                         gain = level[j] @ self.H.T @ np.linalg.inv(self.H @ level[j] @ self.H.T + V / weight)
@@ -236,7 +237,7 @@ def check(case, protocol):
     """Everything in the trace against the numpy simulation, where the targets are there."""
     trace = run(case.problem(), case.policy(), case.episode(), protocol)
     levels = [tuple(level) for level in protocol.levels]
-    pose, action, mean, covariance, visible = case.simulate(levels)
+    pose, action, mean, covariance, visible = case.simulate(levels, protocol.at_truth)
     there = case.alive()
     tolerance = {"rtol": 1e-9, "atol": 1e-9}
     np.testing.assert_allclose(trace.pose, pose, **tolerance)
@@ -252,6 +253,7 @@ def check(case, protocol):
 
 
 CASES = {"true": (2, TRUE), "true, full": (4, TRUE), "surrogate": (2, SURROGATE), "mixture, full": (4, MIXTURE)}
+CASES["mixture at truth"] = (2, Protocol(MIXTURE.levels, at_truth=True))
 
 
 @pytest.mark.parametrize(("n_y", "protocol"), CASES.values(), ids=CASES)
@@ -261,7 +263,7 @@ def test_an_episode_with_truth(n_y, protocol):
     assert 0.1 < visible.mean() < 0.9, "an episode in which all or nothing is seen shows too little"
     if len(protocol.levels) > 1:
         # Had the policy seen the first level, it would have acted otherwise.
-        first = case.simulate([tuple(level) for level in protocol.levels[::-1]])
+        first = case.simulate([tuple(level) for level in protocol.levels[::-1]], protocol.at_truth)
         assert np.abs(trace.action - first[1]).max() > 1e-3
 
 
@@ -286,6 +288,11 @@ def test_the_mean_is_corrected_from_the_same_measurements_under_both_protocols()
         check(case, protocol)
 
 
+def ahead_of(pose):
+    """Positions 1 m before the agent, in the middle of its view."""
+    return pose[..., :2] + np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
+
+
 def test_padding_changes_nothing():
     case, wide = world(2), world(2, n=5, K=18, seed=9)
     K, n = case.inputs.shape[:2]
@@ -296,6 +303,7 @@ def test_padding_changes_nothing():
     inputs[steps, *rows], noise[steps, *rows] = case.inputs, case.noise
     padded = replace(case, first_mean=first_mean, inputs=inputs, truth=truth, noise=noise)
     trace = run(case.problem(), case.policy(), case.episode(), SURROGATE)
+    truth[1 : K + 1, 4] = ahead_of(np.asarray(trace.pose)[1:])
     there = (jnp.arange(5) < n, jnp.asarray(K))
     episode = eqx.tree_at(lambda e: (e.present, e.horizon), padded.episode(), there)
     longer = run(case.problem(), case.policy(), episode, SURROGATE)
@@ -314,6 +322,9 @@ def test_targets_that_come_and_go():
     for column, first, last in [(0, 0, 5), (0, 8, 14), (1, 3, 14), (2, 0, 6), (3, 0, 14), (4, 9, 9)]:
         present[first : last + 1, column] = True
     case = replace(case, present=present)
+    # Where column 4 comes and column 2 is gone, both stand before the agent's eyes.
+    pose = case.simulate([])[0]
+    case.truth[9, 4], case.truth[7, 2] = ahead_of(pose[9]), ahead_of(pose[7])
     trace, _ = check(case, TRUE)
     looks = np.asarray(trace.visible)
     assert not looks[~(present[1:] & present[:-1])].any(), "measured before it came or after it went"

@@ -247,6 +247,7 @@ def stubbed(monkeypatch, script):
     steps = iter(script)
 
     def epochs(problem, scenes, settings, count, learner_, key):
+        keys["training"] = key
         moved, *rest = next(steps)
         after = eqx.tree_at(
             lambda x: (x.policy, x.epoch), learner_, (moved_policy(learner_, moved), learner_.epoch + count)
@@ -257,11 +258,12 @@ def stubbed(monkeypatch, script):
     def moved_policy(learner_, value):
         return jax.tree.map(lambda x: jnp.full_like(x, value) if eqx.is_array(x) else x, learner_.policy)
 
-    judged = []
+    judged, keys = [], {}
     monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
-    monkeypatch.setattr(training, "held_out_episodes", lambda *args: None)
+    monkeypatch.setattr(training, "held_out_episodes", lambda experiment, problem, key: keys.update(held_out=key))
     monkeypatch.setattr(training, "epochs", epochs)
     monkeypatch.setattr(training, "judge", lambda *args: [jnp.array(x) for x in judged[-1]])
+    return keys
 
 
 def best_weight(run):
@@ -282,13 +284,16 @@ def test_a_number_that_is_not_finite_leaves_the_best_checkpoint_alone(monkeypatc
 
 
 def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
-    stubbed(monkeypatch, [(1.0, 2.0, 0.0, True), (9.0, 0.0, 1.0, True), (3.0, 2.5, 0.0, True), (4.0, 2.4, 0.0, True)])
+    keys = stubbed(
+        monkeypatch, [(1.0, 2.0, 0.0, True), (9.0, 0.0, 1.0, True), (3.0, 2.5, 0.0, True), (4.0, 2.4, 0.0, True)]
+    )
     checks = []
     outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
     assert [bool(check.event) for check in checks] == [False, True, False, False]
     assert [check.epoch for check in checks] == [10, 20, 30, 40]
     assert (outcome.returns, outcome.best_epoch, outcome.best_score) == (1, 30, 2.5)
     assert best_weight(tmp_path / "r") == 3.0
+    assert not jnp.array_equal(*map(jax.random.key_data, (keys["training"], keys["held_out"]))), "held out is held out"
 
 
 @pytest.mark.xfail(raises=ValueError, reason="best.npz is never written where every check is at the limits")

@@ -84,7 +84,8 @@ def by_the_paper(network, agent, targets, present):
 
 @pytest.mark.parametrize(("frame", "n_y", "out"), [("world", 2, (64,)), ("body", 4, (64, 64))])
 def test_network_of_the_paper(frame, n_y, out):
-    network = policy(frame, n_y, out_widths=out, alpha=40.0 if frame == "world" else 4.0)
+    length = {"world": 1.0, "body": 2.5}[frame]
+    network = policy(frame, n_y, out_widths=out, alpha=40.0 if frame == "world" else 4.0, length_m=length)
     widths = [layer.weight.shape for part in (network.agent_layers, network.target_layers) for layer in part]
     features = n_y + n_y * (n_y + 1) // 2
     assert widths == [(32, 3), (32, 32), (64, features), (32, 64)]
@@ -99,7 +100,7 @@ def test_network_of_the_paper(frame, n_y, out):
             whole = np.kron(np.eye(n_y // 2), R)
             P = whole.T @ P @ whole
             p = np.concatenate([R.T @ (p[:2] - pose[:2]), R.T @ p[2:]]) if n_y == 4 else R.T @ (p - pose[:2])
-        targets.append([*p, *(P[i, j] for i in range(n_y) for j in range(i + 1))])
+        targets.append([*(p / length), *(P[i, j] for i in range(n_y) for j in range(i + 1))])
     yaw, half = pose[2], pose[2] / 2
     # log of SE(2): the inverse of the left Jacobian, (w/2) cot(w/2) on the diagonal.
     inverse = np.array([[half / np.tan(half), half], [-half, half / np.tan(half)]])

@@ -1,6 +1,7 @@
 """Training that survives: the loop around the learner. It judges, keeps the best, notices collapse, and can go on."""
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -109,6 +110,8 @@ def train(
     The same experiment and seed give the same checkpoint, bit for bit, on the same machine, also when the training
     was interrupted and resumed. Raises ValueError where `out` already holds a run (or, resumed, another one).
     """
+    if not resume:
+        _claim(out, experiment)
     problem, training = experiment.scenario.problem(), experiment.training
     keys = jax.random.split(jax.random.key(seed), 4)
     learner = begin(experiment.policy.policy(problem, keys[0]), training)
@@ -123,8 +126,6 @@ def train(
     elapsed = 0.0
     if resume:
         progress, elapsed = _resumed(out, experiment, seed, progress)
-    else:
-        _claim(out, experiment)
     began, stopped = time.perf_counter() - elapsed, ""
     with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
         while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
@@ -148,6 +149,8 @@ def train(
             )
             _keep(out, experiment, seed, progress, check, events)
             report(check, training.epochs)
+    if not stopped and not jnp.isfinite(progress.best_score):
+        stopped = "at every check nearly all commands were at a limit: nothing was learned, and no policy is kept"
     return Outcome(
         epochs=int(progress.learner.epoch),
         best_epoch=int(progress.best_epoch),
@@ -229,6 +232,11 @@ def _epoch_of(line: str) -> int | float:
         return float("inf")
 
 
+def _is_json(value: object) -> bool:
+    """JSON has no NaN and no infinity."""
+    return not isinstance(value, float) or math.isfinite(value)
+
+
 def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
@@ -237,7 +245,7 @@ def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, chec
         save_tree(out / BEST, progress.best.policy, experiment, "policy", best)
     save_tree(out / LAST, progress, experiment, "training", facts)
     with (out / METRICS).open("a") as file:
-        facts = {name: None if value != value else value for name, value in asdict(check).items()}
+        facts = {name: value if _is_json(value) else None for name, value in asdict(check).items()}
         file.write(json.dumps(facts) + "\n")
     for name in ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s"):
         events.add_scalar(name, getattr(check, name), check.epoch)
