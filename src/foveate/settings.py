@@ -62,6 +62,6 @@ class Experiment:
 PRESETS = {
     "paper": Experiment(),
     "best": Experiment(
-        training=TrainingSettings(epochs=2000, episodes=128, learning_rate=1e-3, schedule="cosine", check_every=100),
+        training=TrainingSettings(epochs=2000, episodes=128, learning_rate=5e-4, schedule="cosine", check_every=50),
     ),
 }
