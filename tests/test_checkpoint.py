@@ -138,7 +138,6 @@ def test_something_else(tmp_path, policy):
     assert "not an .npz" in refusal(lambda: load_tree(path, policy, "policy"), path)
 
 
-@pytest.mark.xfail(reason="the experiment's digest is written into the checkpoint and never compared")
 def test_a_checkpoint_beside_the_settings_of_another_experiment(tmp_path, policy):
     """Same shapes, other meaning: the policy was trained on body-frame inputs, config.toml now says world."""
     (tmp_path / BEST).parent.mkdir()

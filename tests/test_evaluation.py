@@ -202,7 +202,6 @@ def test_every_method_meets_the_same_chance(always_seen):
     np.testing.assert_allclose(other.mean, trace.mean, atol=1e-12)
 
 
-@pytest.mark.xfail(reason="the policy's own chance comes from the place of the episode in the suite")
 def test_chance_of_a_method_depends_on_seed_scene_and_episode_alone():
     """Contract: all randomness of an episode is drawn from (seed, scene id, episode); also that of `random`."""
     problem, settings = EVERYWHERE.problem(), EVERYWHERE.scenes

@@ -37,7 +37,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory):
     rows = []
     for k in range(81):
         t = 0.25 * k
-        rows.append((t, "a", -8 + t, 1.0))
+        rows.append((t, "a", -8 + t, 1.1))
         rows.append((t, "b", -4.0, 0.5 * math.sin(t)))
         if 20 <= k <= 50:
             rows.append((t, "c", 3.0, 3 - 0.2 * t))
@@ -58,7 +58,7 @@ def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> N
     row, _ = replay(ready, "still", handmade("still", ready.problem, DEPTH))
 
     position = {
-        "a": lambda t: (-8 + t, 1.0),
+        "a": lambda t: (-8 + t, 1.1),
         "b": lambda t: (-4.0, 0.0),
         "c": lambda t: (3.0, 3 - 0.2 * t),
         "d": lambda t: (5.0, -1.0 + 0.05 * t),

@@ -105,12 +105,7 @@ BAD = {
 }
 
 
-NOT_YET = pytest.mark.xfail(reason="refused only by a matrix product, when the first mean is drawn")
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=NOT_YET) if name.startswith("more") else name for name in BAD]
-)
+@pytest.mark.parametrize("name", BAD)
 def test_bad_settings(name):
     make, words = BAD[name]
     with pytest.raises(ValueError) as caught:  # noqa: PT011 - the words are compared below

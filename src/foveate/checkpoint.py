@@ -34,12 +34,17 @@ def save_tree(path: Path, tree: Any, experiment: Experiment, kind: str, facts: d
     save_arrays(path, {name: np.asarray(leaf) for name, leaf in _named(tree).items()}, header)
 
 
-def load_tree(path: Path, like: T, kind: str) -> tuple[T, dict[str, Any]]:
+def load_tree(path: Path, like: T, kind: str, experiment: Experiment | None = None) -> tuple[T, dict[str, Any]]:
     """The pytree that was saved, in the structure and the dtypes of `like`, and the facts beside it.
 
-    Raises ValueError in one line for a file that is missing, cut, damaged, newer, or holds other shapes.
+    Raises ValueError in one line for a file that is missing, cut, damaged, newer, or holds other shapes,
+    or was saved by another experiment than the one that is given.
     """
     header, arrays = load_arrays(path, kind, VERSION)
+    if experiment is not None and header["experiment"] != digest(experiment):
+        raise ValueError(
+            f"{path}: belongs to another experiment than the config.toml beside it, which was changed since"
+        )
     wanted = _named(like)
     if missing := sorted(set(wanted) - set(arrays)):
         raise ValueError(f"{path}: no array {missing[0]!r}: this checkpoint is of another network")
@@ -82,7 +87,7 @@ def load_run(run: Path) -> tuple[Experiment, Policy, dict[str, Any]]:
             f"{run}: no such run folder: expected what `foveate train --out` wrote, or the name of a preset"
         )
     experiment = load_toml(Experiment, run / CONFIG)
-    policy, facts = load_tree(run / BEST, policy_shape(experiment), "policy")
+    policy, facts = load_tree(run / BEST, policy_shape(experiment), "policy", experiment)
     return experiment, policy, facts
 
 

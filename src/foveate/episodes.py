@@ -112,7 +112,7 @@ def episode_of(
     inputs = jnp.zeros((*noise.jitter.shape[:2], motion.input_size))
     if motion.state_size == d == motion.input_size:
         inputs = problem.tau * (scene.drift + settings.jitter_m_s * noise.jitter)
-    elif motion.state_size >= 2 * d:
+    elif motion.takes_drift:
         first = first.at[:, d : 2 * d].add(scene.drift)
 
     known = inputs if settings.known_drift else jnp.zeros_like(inputs)
@@ -196,6 +196,8 @@ def scene_episodes(
 
     Shapes: a leading axis of len(scenes) * episodes; n and K are the largest of any scene (n at least 1).
     """
+    if not problem.motion.takes_drift and (moving := [scene.id for scene in scenes if scene.motion == "biased"]):
+        raise ValueError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
     n = max(1, *(len(scene.targets) for scene in scenes))
     steps = max(scene.horizon for scene in scenes)
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
@@ -242,16 +244,19 @@ def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, co
     if not biased:
         cell = replace(cell, drift_m_s=(0.0,) * len(cell.drift_m_s))
     rng = np.random.default_rng([seed, targets, biased])
-    # In float32 whatever the working precision, so that a seed means the same scenes everywhere.
-    uniform = jnp.asarray(rng.uniform(-1.0, 1.0, (count, draw_size(cell, problem))).astype(np.float32), float)
-    drawn = jax.jit(jax.vmap(lambda numbers: draw(cell, problem, numbers, test=True)))(uniform)
+    uniform = rng.uniform(-1.0, 1.0, (count, draw_size(cell, problem)))
+    # In float64 whatever the working precision, so that a seed means the same scenes everywhere.
+    with jax.enable_x64(True):
+        drawn = jax.jit(jax.vmap(lambda numbers: draw(cell, problem, numbers, test=True)))(uniform)
+        agents = [problem.agent.space.to_numbers(pose) for pose in drawn.pose]
+        position, drift = np.asarray(drawn.position), np.asarray(drawn.drift)
     word = "biased" if biased else "unbiased"
     return [
         Scene(
             id=f"{word}-{targets}-{i:02d}",
-            agent=_numbers(problem.agent.space.to_numbers(drawn.pose[i])),
-            targets=tuple(_numbers(row) for row in np.asarray(drawn.position[i])),
-            drift=tuple(_numbers(row) for row in np.asarray(drawn.drift[i])),
+            agent=_numbers(agents[i]),
+            targets=tuple(_numbers(row) for row in position[i]),
+            drift=tuple(_numbers(row) for row in drift[i]),
             horizon=cell.horizon(targets),
         )
         for i in range(count)

@@ -2,6 +2,7 @@
 
 import math
 import time
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -103,10 +104,18 @@ def _run(problem: Problem, policy: Policy, episodes: Episode, protocol: Protocol
     return jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
 
 
+@jax.jit
+def _keys(key, names, runs):
+    """The policy's own chance: like all other, from (seed, scene id, episode) alone."""
+    return jax.vmap(lambda name, run: jax.random.fold_in(jax.random.fold_in(key, name), run))(names, runs)
+
+
 def simulate(suite: Suite, policy: Policy, protocol: Protocol) -> Trace:
     """Every episode of the suite; a leading axis of episodes, as numpy arrays."""
     count = len(suite.scenes) * suite.episodes_per_scene
-    keys = jax.random.split(jax.random.key(suite.seed), count)
+    names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
+    runs = np.arange(count) % suite.episodes_per_scene
+    keys = _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
     parts = []
     for first in range(0, count, CHUNK):
         rows = np.minimum(np.arange(first, first + CHUNK), count - 1)

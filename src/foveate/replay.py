@@ -16,6 +16,8 @@ from foveate.recorded import Recording, Slots, resample_slots
 from foveate.rollout import TRUE, rollout
 from foveate.scenario import Scenario
 
+MAX_ROUNDING = 0.05
+"""Positions must be resolved to this share of the sensor's standard deviation."""
 CONTRADICTION = 4.0
 """A process noise off by more than this factor in variance is worth a warning."""
 
@@ -67,6 +69,12 @@ def prepare_replay(
     d, problem = scenario.dimension, scenario.problem()
     if recording.dimension != d:
         raise ValueError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
+    far = float(np.abs(np.stack(recording.extent)).max())
+    if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
+        raise ValueError(
+            f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
+            f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
+        )
     slots = resample_slots(recording, float(scenario.tau_s), float(max_gap_s))
     truth = _states(problem, slots)
     steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
@@ -187,14 +195,18 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
         found.append(f"up to {most} targets at once: the run's scenario goes up to {trained}")
     if slots.dropped:
         found.append(f"{slots.dropped} tracks fall between the control instants and are left out")
-    interval = median_fix_interval_s(recording)
+    interval = median_fix_interval_s(recording) if any(len(track.times_s) > 1 for track in recording.tracks) else 0.0
     if interval > max_gap_s:
         found.append(
             f"fixes are {interval:g} s apart, more than --max-gap {max_gap_s:g} s: targets are absent most of the time"
         )
     motion = scenario.problem().motion
     if motion.state_size == scenario.dimension:
-        walk = float(np.trace(fit_statistics(recording, float(scenario.tau_s), float(max_gap_s)).walk_covariance_m2))
+        try:
+            statistics = fit_statistics(recording, float(scenario.tau_s), float(max_gap_s))
+        except ValueError:  # too few pairs of fixes to judge W by
+            return found
+        walk = float(np.trace(statistics.walk_covariance_m2))
         claimed = float(jnp.trace(motion.W))
         if not walk / CONTRADICTION <= claimed <= walk * CONTRADICTION:
             found.append(

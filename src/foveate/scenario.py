@@ -275,6 +275,8 @@ class SceneSettings:
         right = "expected one number per axis, as many as half_side_m"
         for name in ("centre_m", "drift_m_s"):
             _require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
+        smallest = min(self.half_side_m) + self.half_side_per_target_m
+        _require(not self.turnover or smallest > 0, "half_side_m", self.half_side_m, "expected > 0 with turnover")
         _require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
         _require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
 
@@ -309,6 +311,13 @@ class Scenario:
             raise ValueError(
                 f"sensor.V is {size} x {size}: expected {H.shape[0]} x {H.shape[0]}, one row per measurement"
             )
+        if len(H) > len(A):
+            raise ValueError(f"sensor.H has {len(H)} rows: expected at most {len(A)}, the length of a target's state")
+        if any(self.scenes.drift_m_s) and not self.problem().motion.takes_drift:
+            right = (
+                "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or an input for each axis)"
+            )
+            raise ValueError(f"scenes.drift_m_s = {self.scenes.drift_m_s!r}: {right}")
         if self.sensor.frame == "body" and H.shape[0] != d:
             raise ValueError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
 

@@ -63,9 +63,21 @@ def policy_of(run: str, method: str, experiment: "Experiment", box_world: Any = 
     return load_run(Path(run))[1]
 
 
-def check_output(path: Path | None) -> None:
-    """Raise ValueError now, not after minutes of work, where a result could not be written."""
-    if path is not None and not path.resolve().parent.is_dir():
+def check_seed(seed: int) -> None:
+    """Raise ValueError for a seed that is no seed."""
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"--seed {seed}: expected a whole number from 0 to {2**32 - 1}")
+
+
+def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -> None:
+    """Raise ValueError now, not after minutes of work, where a result could not be written or would hit an input."""
+    if path is None:
+        return
+    if any(path.resolve() == Path(name).resolve() for name in inputs):
+        raise ValueError(f"{path}: is an input of this command: choose another file")
+    if path.exists() and path.is_dir() != folder:
+        raise ValueError(f"{path}: is {'no ' * folder}a folder: choose another place")
+    if not path.resolve().parent.is_dir():
         raise ValueError(f"{path}: no folder {path.parent}: make it first, or choose another place")
 
 

@@ -34,7 +34,15 @@ class Evaluate:
 
     def run_command(self) -> int:
         """Evaluate, print the summary, write the files."""
-        from foveate.cli.common import Bar, check_methods, check_output, experiment_of, policy_of, print_table
+        from foveate.cli.common import (
+            Bar,
+            check_methods,
+            check_output,
+            check_seed,
+            experiment_of,
+            policy_of,
+            print_table,
+        )
         from foveate.configuration import digest
         from foveate.episodes import table1
         from foveate.evaluation import evaluate, prepare, result, summarise
@@ -43,11 +51,10 @@ class Evaluate:
 
         methods = check_methods(self.method)
         for path in (self.json, self.write_scenes):
-            check_output(path)
+            check_output(path, self.scenes)
         if self.episodes < 1:
             raise ValueError(f"--episodes {self.episodes}: expected >= 1")
-        if self.seed < 0:
-            raise ValueError(f"--seed {self.seed}: expected >= 0")
+        check_seed(self.seed)
         experiment = experiment_of(self.run)
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
         if self.scenes == "table1":

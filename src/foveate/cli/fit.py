@@ -50,7 +50,7 @@ class Fit:
         from foveate.motion_fit import fit_statistics
         from foveate.recorded import load_recording, window
 
-        check_output(self.out)
+        check_output(self.out, self.recording)
         if self.out.exists():
             raise ValueError(f"{self.out}: exists already: choose another --out")
         recording = window(load_recording(self.recording), self.start, self.end)

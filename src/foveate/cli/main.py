@@ -38,14 +38,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = tyro.cli(
         choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
     )
-    keep_compiled()
     try:
+        keep_compiled()
         return command.run_command()
     except ValueError as error:
         print(f"foveate: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"foveate: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except (OverflowError, MemoryError) as error:
+        print(f"foveate: a number is too large: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("foveate: interrupted", file=sys.stderr)

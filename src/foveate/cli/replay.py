@@ -45,19 +45,19 @@ class Replay:
         import jax.numpy as jnp
         import numpy as np
 
-        from foveate.cli.common import Bar, check_methods, check_output, experiment_of, policy_of
+        from foveate.cli.common import Bar, check_methods, check_output, check_seed, experiment_of, policy_of
         from foveate.files import write_json
         from foveate.recorded import load_recording, window
         from foveate.replay import prepare_replay, replay, result, warnings_for
 
         methods = check_methods(self.method)
-        check_output(self.out)
-        check_output(self.json)
+        check_output(self.out, folder=True)
+        check_output(self.json, self.recording)
+        check_seed(self.seed)
         experiment = experiment_of(self.run)
-        if "policy" in methods and not Path(self.run).is_dir():
-            methods = tuple(name for name in methods if name != "policy")
-            if not methods:
-                raise ValueError(f"preset {self.run} has no trained policy here: train it, or name another --method")
+        if "all" in self.method and not Path(self.run).is_dir():
+            print(f"{self.run} is a preset without a trained policy: hand-made methods only", file=sys.stderr)
+            methods = methods[1:]
         recording = window(load_recording(self.recording), self.start, self.end)
         box = np.stack(recording.extent)
         policies = {name: policy_of(self.run, name, experiment, jnp.asarray(box, float)) for name in methods}

@@ -34,10 +34,15 @@ class Train:
         """Train, and say how it went."""
         import sys
 
-        from foveate.cli.common import Bar
+        from foveate.cli.common import Bar, check_seed
         from foveate.learning.training import Check, stored_run, train
 
+        check_seed(self.seed)
         if self.resume is not None:
+            given = {"--config": self.config, "--epochs": self.epochs, "--episodes": self.episodes, "--out": self.out}
+            for name, value in given.items():
+                if value is not None:
+                    raise ValueError(f"{name} and --resume: a run goes on with the settings it began with")
             experiment, seed = stored_run(self.resume)
             out = self.resume
         else:

@@ -26,7 +26,7 @@ class Learner(eqx.Module):
 
 
 class Report(eqx.Module):
-    """One epoch in numbers: the objective [nat per target], the gradient's norm before its bound, and all finite?"""
+    """One epoch in numbers: the objective, the gradient's norm before its bound, and all finite?"""
 
     objective: Scalar
     gradient_norm: Scalar
@@ -48,7 +48,7 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
 
 
 def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False) -> Episode:
-    """One fresh episode; without `noise` the mean is the truth and is never corrected. `test`: as test scenes begin."""
+    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected."""
     scene_key, noise_key = jax.random.split(key)
     steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
     chance = draw_noise(problem, noise_key, steps, targets)
@@ -59,7 +59,9 @@ def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: b
 
 def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
     """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
-    present = episode.present if episode.arrivals is None else episode.arrivals.present[1:]
+    arrivals = episode.arrivals
+    # A target that has just come could not be measured yet.
+    present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
     present = jnp.broadcast_to(present, values.shape)
     score = jnp.sum(jnp.where(present, values, 0.0), axis=1) / jnp.maximum(jnp.sum(present, axis=1), 1)
     if terminal:

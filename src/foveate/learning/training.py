@@ -11,11 +11,12 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import optax
 from tensorboardX import SummaryWriter
 
 from foveate.arrays import load_arrays
 from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree, write_config
-from foveate.configuration import digest, load_toml
+from foveate.configuration import load_toml
 from foveate.files import write_atomic
 from foveate.learning.policy_gradient import Learner, begin, episode_score, epochs, training_episode
 from foveate.problem import Episode, Policy, Problem, Trace
@@ -28,7 +29,9 @@ LIMIT = 0.99
 """A command this close to a limit of its axis (or tanh beyond it) has no gradient to come back by."""
 COLLAPSED_SHARE = 0.9
 COLLAPSED_SCORE = 1.0
-"""A held-out score this far [nat per target] below its best, for COLLAPSED_CHECKS checks in a row, is a collapse."""
+COLLAPSED_SEEN = 0.5
+"""A held-out score this far [nat per target] below its best, or this share of the best time in view, for
+COLLAPSED_CHECKS checks in a row, is a collapse."""
 COLLAPSED_CHECKS = 10
 RETURNS = 3
 """How often a collapsed training goes back to its best before it gives up."""
@@ -39,7 +42,7 @@ class Check:
     """One judgement of a policy in training, a line of `metrics.jsonl`.
 
     `objective` is the mean over the epochs since the last check, `held_out` the score of the protocol that selects
-    the best, `at_limit` the share of held-out commands at a limit.
+    the best, `at_limit` the share of held-out commands with every axis at a limit.
     """
 
     epoch: int
@@ -118,23 +121,24 @@ def train(
     zero = jnp.zeros((), int)
     progress = Progress(learner, learner, jnp.array(-jnp.inf), zero, zero, zero)
     episodes = held_out_episodes(experiment, problem, keys[1])
-    advance = eqx.filter_jit(
-        lambda count, learner: epochs(problem, experiment.scenario.scenes, training, count, learner, keys[2])
-    )
-    assess = eqx.filter_jit(lambda policy: judge(experiment, problem, policy, episodes, keys[3]))
-
     elapsed = 0.0
     if resume:
         progress, elapsed = _resumed(out, experiment, seed, progress)
+    else:
+        save_tree(out / LAST, progress, experiment, "training", {"seed": seed, "epoch": 0, "elapsed_s": 0.0})
+    # Keys and scenes are arguments, not constants, so that all seeds share one compiled program.
+    scenes = experiment.scenario.scenes
+    advance = eqx.filter_jit(lambda count, learner, key: epochs(problem, scenes, training, count, learner, key))
+    assess = eqx.filter_jit(lambda policy, episodes, key: judge(experiment, problem, policy, episodes, key))
     began, stopped = time.perf_counter() - elapsed, ""
     with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
         while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
             count = min(training.check_every, training.epochs - done)
             started = time.perf_counter()
-            learner, numbers = advance(jnp.array(count), progress.learner)
-            score, at_limit = (float(x) for x in assess(learner.policy))
+            learner, numbers = advance(jnp.array(count), progress.learner, keys[2])
+            score, at_limit = (float(x) for x in assess(learner.policy, episodes, keys[3]))
             finite = bool(numbers.finite) and jnp.isfinite(score)
-            progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite))
+            progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite), training.objective)
             now = time.perf_counter()
             check = Check(
                 epoch=int(learner.epoch),
@@ -149,8 +153,6 @@ def train(
             )
             _keep(out, experiment, seed, progress, check, events)
             report(check, training.epochs)
-    if not stopped and not jnp.isfinite(progress.best_score):
-        stopped = "at every check nearly all commands were at a limit: nothing was learned, and no policy is kept"
     return Outcome(
         epochs=int(progress.learner.epoch),
         best_epoch=int(progress.best_epoch),
@@ -160,8 +162,13 @@ def train(
     )
 
 
+def _is_low(score: float, best: float, objective: str) -> bool:
+    """Far below the best: in nats, or where time in view is what counts, in shares of the best."""
+    return score < (COLLAPSED_SEEN * best if objective == "seen" else best - COLLAPSED_SCORE)
+
+
 def _next(
-    progress: Progress, learner: Learner, score: float, at_limit: float, finite: bool
+    progress: Progress, learner: Learner, score: float, at_limit: float, finite: bool, objective: str = "terminal"
 ) -> tuple[Progress, str, str]:
     """What follows from one check: the progress to go on with, what happened, and why to stop (empty: go on)."""
     if not finite:
@@ -172,14 +179,14 @@ def _next(
             f"epoch {int(learner.epoch)}: a gradient or score was not finite; the best is kept",
         )
     at_limits = at_limit > COLLAPSED_SHARE
-    if score > float(progress.best_score) and not at_limits:
+    learned = bool(jnp.isfinite(progress.best_score))
+    # The first finite check is kept whatever it is, so that every run has a policy.
+    if score > float(progress.best_score) and not (at_limits and learned):
         zero = jnp.zeros((), int)
         best = (learner, learner, jnp.array(score), learner.epoch, zero)
         return Progress(*best, progress.returns), "", ""
-    low = score < float(progress.best_score) - COLLAPSED_SCORE
-    below = int(progress.below) + 1 if low else 0
-    learned = jnp.isfinite(progress.best_score)
-    if not (at_limits and bool(learned)) and below < COLLAPSED_CHECKS:
+    below = int(progress.below) + 1 if _is_low(score, float(progress.best_score), objective) else 0
+    if not at_limits and below < COLLAPSED_CHECKS:
         held = (progress.best, progress.best_score, progress.best_epoch, jnp.array(below), progress.returns)
         return Progress(learner, *held), "", ""
     why = f"{at_limit:.0%} of commands at a limit" if at_limits else f"held-out score {score:.2f} for {below} checks"
@@ -189,8 +196,9 @@ def _next(
             "collapse",
             f"epoch {int(learner.epoch)}: collapsed ({why}) once more after {RETURNS} returns to the best",
         )
-    # The epoch goes on counting, so that the way back is walked on other scenes.
-    back = eqx.tree_at(lambda best: best.epoch, progress.best, learner.epoch)
+    # The epoch goes on counting, so that the way back is walked on other scenes and the learning rate stays low.
+    count = optax.tree.set(progress.best.optimizer, count=learner.epoch.astype(jnp.int32))
+    back = eqx.tree_at(lambda best: (best.optimizer, best.epoch), progress.best, (count, learner.epoch))
     held = (progress.best, progress.best_score, progress.best_epoch, jnp.zeros((), int), progress.returns + 1)
     return Progress(back, *held), f"collapse ({why}): back to epoch {int(progress.best_epoch)}", ""
 
@@ -211,10 +219,7 @@ def stored_run(run: Path) -> tuple[Experiment, int]:
 
 
 def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tuple[Progress, float]:
-    stored = load_toml(Experiment, out / CONFIG)
-    if digest(stored) != digest(experiment):
-        raise ValueError(f"{out}: config.toml describes another experiment: resume with the settings it began with")
-    progress, facts = load_tree(out / LAST, like, "training")
+    progress, facts = load_tree(out / LAST, like, "training", experiment)
     if facts["seed"] != seed:
         raise ValueError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
     lines = [

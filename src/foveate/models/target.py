@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from foveate.types import Mean, Point
@@ -34,6 +35,14 @@ class LinearGaussian(eqx.Module):
     def input_size(self) -> int:
         """Length m_y of the known input."""
         return self.B.shape[1]
+
+    @property
+    def takes_drift(self) -> bool:
+        """Whether a velocity can be given to a target: as the input of a position, or as the second part of a state."""
+        d, n_y = self.Z.shape
+        if n_y == d:
+            return self.input_size == d
+        return n_y >= 2 * d and np.array_equal(self.Z, np.eye(d, n_y))
 
     def position(self, state: Float[Array, "*b n_y"]) -> Float[Array, "*b d"]:
         """zeta(y) = Z y [m]."""

@@ -92,7 +92,7 @@ class Uncertain(Steering):
 
 
 class Lawnmower(Steering):
-    """Sweeps a box in parallel lanes, a view apart, again and again: `box_world` (2, d), or that of the first beliefs.
+    """Sweeps a box in six parallel lanes, again and again: `box_world` (2, d), or that of the first beliefs.
 
     Its memory is the lanes' corners and which of them comes next.
     """
@@ -120,7 +120,9 @@ class Lawnmower(Steering):
         """The next corner; the one after it once the agent is within reach of one step."""
         corners, turn = memory
         agent = self.problem.agent
-        reach = jnp.maximum(jnp.max(jnp.abs(agent.upper)) * self.problem.tau, self.standoff_m)
+        linear = jnp.array([i for i, axis in enumerate(agent.axes) if axis < agent.space.dimension], int)
+        speed = jnp.max(jnp.maximum(-agent.lower, agent.upper)[linear], initial=0.0)
+        reach = jnp.maximum(0.5 * speed * self.problem.tau, self.standoff_m)
         away = jnp.linalg.norm(corners[turn] - agent.space.position(observation.pose))
         turn = jnp.where(away < reach, (turn + 1) % len(corners), turn)
         return corners[turn], jnp.array(True), (corners, turn)
