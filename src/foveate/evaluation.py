@@ -4,6 +4,7 @@ import math
 import time
 import zlib
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -147,11 +148,13 @@ def decision_time(problem: Problem, policy: Policy, episode: Episode, repeats: i
 
 def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]) -> list[Row]:
     """Run a policy on a suite under each protocol: one row an episode."""
+    protocols = tuple(protocols)
+    with ThreadPoolExecutor() as pool:  # compilation, most of the wait, runs side by side
+        traces = list(pool.map(lambda name: simulate(suite, policy, PROTOCOLS[name]), protocols))
     step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
     truth = np.asarray(suite.truth.state)
     rows = []
-    for protocol in protocols:
-        trace = simulate(suite, policy, PROTOCOLS[protocol])
+    for protocol, trace in zip(protocols, traces, strict=True):
         for i in range(len(truth)):
             scene = suite.scenes[i // suite.episodes_per_scene]
             measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
