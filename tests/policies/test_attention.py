@@ -12,7 +12,7 @@ from scipy.special import softmax
 from foveate.policies.attention import AttentionPolicy, AttentionSettings, masked_softmax
 from foveate.policies.inputs import policy_inputs
 from foveate.problem import Observation
-from foveate.scenario import LinearTarget, Scenario
+from foveate.scenario import LinearTarget, Scenario, SceneSettings
 
 KEY = jax.random.key(0)
 RNG = np.random.default_rng(0)
@@ -207,7 +207,7 @@ def test_body_frame_decision_does_not_depend_on_the_worlds_frame(n_y):
 
 def test_body_frame_asks_for_states_that_begin_with_the_position():
     odd = replace(MOVING, Z=((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
-    problem = replace(Scenario(), target=odd).problem()
+    problem = replace(Scenario(), target=odd, scenes=SceneSettings(drift_m_s=(0.0, 0.0))).problem()
     with pytest.raises(ValueError, match="frame = 'body'"):
         AttentionSettings(frame="body").policy(problem, KEY)
 
