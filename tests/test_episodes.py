@@ -23,8 +23,9 @@ from foveate.episodes import (
     suite,
     table1,
 )
-from foveate.scenario import DriftTarget, LinearTarget, Scenario, SceneSettings, SensorSettings
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
 from foveate.scenes import Scene
+from foveate.target_settings import DriftTarget, LinearTarget
 
 PAPER = Scenario()
 COUNT = 3000

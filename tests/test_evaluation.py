@@ -23,8 +23,9 @@ from foveate.evaluation import (
 from foveate.policies.handmade import handmade
 from foveate.problem import Trace
 from foveate.rollout import TRUE
-from foveate.scenario import Scenario, SceneSettings, SectorView
+from foveate.scenario import Scenario, SceneSettings
 from foveate.scenes import Scene
+from foveate.view_settings import SectorView
 
 PAPER = Scenario().problem()
 EVERYWHERE = Scenario(view=SectorView(depth_m=1e6, angle_deg=360.0), scenes=SceneSettings(initial_error="consistent"))
@@ -47,7 +48,9 @@ def test_longest_run():
     for share in (0.0, 0.3, 0.8, 1.0):
         for steps in (1, 2, 12):
             flags = rng.random((steps, 7)) < share
-            np.testing.assert_array_equal(longest_run(flags), [brute_force_run(c) for c in flags.T])
+            np.testing.assert_array_equal(
+                longest_run(flags, np.ones(len(flags))), [brute_force_run(c) for c in flags.T]
+            )
 
 
 @pytest.mark.parametrize("dof", [1, 2, 3, 4, 6])

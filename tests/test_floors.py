@@ -9,10 +9,13 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 FLOORS = [
-    ["types", "linalg", "files", "configuration", "arrays", "published"],
+    ["types", "linalg", "checks", "files", "configuration", "arrays", "published"],
     ["geometry.lie", "geometry.space", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
-    ["problem", "scenario", "scenes", "rollout", "episodes", "environment"],
+    [
+        *("problem", "agent_settings", "view_settings", "target_settings", "scenario"),
+        *("scenes", "rollout", "episodes", "environment"),
+    ],
     ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
     ["settings", "checkpoint", "evaluation", "film", "recorded", "motion_fit", "fit", "replay"],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],

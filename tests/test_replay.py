@@ -15,7 +15,9 @@ from foveate.replay import (
     replay,
     warnings_for,
 )
-from foveate.scenario import DriftTarget, Scenario, SceneSettings, SectorView, SensorSettings
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
+from foveate.target_settings import DriftTarget
+from foveate.view_settings import SectorView
 
 DEPTH, ANGLE, TAU = 6.0, 90.0, 0.5
 

@@ -5,20 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from foveate.agent_settings import DifferentialDrive
 from foveate.configuration import dumps_toml, load_toml
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import (
-    DifferentialDrive,
-    DriftTarget,
-    LinearTarget,
-    PolygonView,
-    Scenario,
-    SceneSettings,
-    SectorView,
-    SensorSettings,
-    TriangleView,
-)
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
 from foveate.settings import Experiment, TrainingSettings
+from foveate.target_settings import DriftTarget, LinearTarget
+from foveate.view_settings import PolygonView, SectorView, TriangleView
 
 EYE = ((1.0, 0.0), (0.0, 1.0))
 TURNED = ((0.5, 0.5), (0.5, 0.5))

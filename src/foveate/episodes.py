@@ -108,23 +108,28 @@ def episode_of(
     replaced by a new one that enters at the other side: the stationary crowd of a street.
     """
     motion, d = problem.motion, problem.agent.space.dimension
+    period = problem.period
+    entry = jnp.arange(len(noise.jitter)) % len(period.tau)
     first = jax.vmap(motion.state_at)(scene.position)
     inputs = jnp.zeros((*noise.jitter.shape[:2], motion.input_size))
     if motion.state_size == d == motion.input_size:
-        inputs = problem.tau * (scene.drift + settings.jitter_m_s * noise.jitter)
+        inputs = period.tau[entry, None, None] * (scene.drift + settings.jitter_m_s * noise.jitter)
     elif motion.takes_drift:
         first = first.at[:, d : 2 * d].add(scene.drift)
 
     known = inputs if settings.known_drift else jnp.zeros_like(inputs)
     truth = None
     if with_truth:
-        pushes = noise.process @ _root(motion.W).T * settings.process_noise
+        roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
+        pushes = noise.process @ roots[entry] * settings.process_noise
 
         def move(state, step):
-            after = motion.advance(state, step[0]) + step[1]
+            motion, known_input, push = step
+            after = motion.advance(state, known_input) + push
             return after, after
 
-        states = jnp.concatenate([first[None], jax.lax.scan(move, first, (inputs, pushes))[1]])
+        motions = jax.tree.map(lambda part: part[entry], period.motion)
+        states = jnp.concatenate([first[None], jax.lax.scan(move, first, (motions, inputs, pushes))[1]])
         truth = Truth(state=states, measurement_noise=noise.measurement)
     error = first_error(problem, settings, noise.first)
     episode = Episode(
@@ -167,10 +172,10 @@ def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, 
     return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
 
 
-def _root(covariance: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def _root(covariance: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
     """A matrix R with R R^T = covariance, which may be singular."""
     values, vectors = jnp.linalg.eigh(covariance)
-    return vectors * jnp.sqrt(jnp.maximum(values, 0.0))
+    return vectors * jnp.sqrt(jnp.maximum(values, 0.0))[..., None, :]
 
 
 def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float
 
 from foveate.episodes import scene_episodes
 from foveate.models.belief import entropy
@@ -187,17 +187,17 @@ def _measures(problem: Problem, trace: Trace, truth: np.ndarray, scene: Scene) -
         "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))),
         "seen_fraction": float(visible.any(axis=0).mean()),
         "seen_step_fraction": float(visible.mean()),
-        "longest_unseen_s": float(longest_run(~visible).max() * problem.tau),
+        "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max()),
         "rmse_m": float(np.sqrt((position_error**2).sum(axis=1).mean())),
         "nees": float(np.einsum("ni,nij,nj->n", error, trace.information[K, :n].astype(float), error).mean()),
     }
 
 
-def longest_run(flags: Bool[np.ndarray, "K n"]) -> Int[np.ndarray, " n"]:
-    """The longest run of true values in each column."""
-    longest = current = np.zeros(flags.shape[1], int)
-    for row in flags:
-        current = np.where(row, current + 1, 0)
+def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]) -> Float[np.ndarray, " n"]:
+    """The longest run of true values in each column; each row is as long as `lengths` says."""
+    longest = current = np.zeros(flags.shape[1])
+    for row, length in zip(flags, lengths, strict=True):
+        current = np.where(row, current + length, 0.0)
         longest = np.maximum(longest, current)
     return longest
 

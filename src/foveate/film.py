@@ -123,7 +123,7 @@ def film(
         space=problem.agent.space,
         visible=np.asarray(trace.visible)[:K, :n],
         log_det=np.asarray(trace.log_det, float)[:K, :n],
-        times_s=tau_s * np.arange(K + 1),
+        times_s=np.concatenate([[0.0], np.cumsum(problem.step_lengths_s(K))]),
         pose=np.asarray(trace.pose, float)[: K + 1],
         truth=np.asarray(truth_state, float)[: K + 1, :n] @ Z.T,
         estimate=np.asarray(trace.mean, float)[: K + 1, :n] @ Z.T,

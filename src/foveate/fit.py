@@ -4,10 +4,13 @@ from typing import Literal
 
 import numpy as np
 
+from foveate.agent_settings import DifferentialDrive
 from foveate.motion_fit import MotionStatistics
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import DifferentialDrive, DriftTarget, Scenario, SceneSettings, SectorView, SensorSettings
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
 from foveate.settings import Experiment, TrainingSettings
+from foveate.target_settings import DriftTarget
+from foveate.view_settings import SectorView
 
 
 def fit_experiment(

@@ -1,16 +1,21 @@
 """Small symmetric positive definite matrices: inverse, log determinant, packing.
 
-Target states are small (2 to 9 numbers), so one LAPACK call a matrix costs more than the arithmetic. Up to 3 x 3
-the factorisation is written out in elementwise operations, which XLA fuses over targets and episodes; above
-that the library's Cholesky is used. Derivatives are the textbook ones and reuse the inverse:
-d(M^-1) = -M^-1 dM M^-1 and d log det M = tr(M^-1 dM).
+Target states are small (2 to 9 numbers), so one LAPACK call a matrix costs more than the arithmetic. Up to 6 x 6
+the factorisation is written out in elementwise operations, which XLA fuses over targets and episodes (480 matrices
+of 6 x 6 on one core: 57 us where LAPACK takes 410); above that the library's Cholesky is used. Derivatives are the
+textbook ones and reuse the inverse: d(M^-1) = -M^-1 dM M^-1 and d log det M = tr(M^-1 dM).
 """
+
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
-UNROLLED = 3
+UNROLLED = 6
 """Largest size whose factorisation is written out."""
 
 
@@ -66,7 +71,9 @@ def inverse_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
 @inverse_spd.defjvp
 def _inverse_spd_jvp(primals: tuple, tangents: tuple) -> tuple:
     inverse = inverse_spd(*primals)
-    return inverse, -multiply(multiply(inverse, tangents[0]), inverse)
+    # XLA would fuse one product into the other and compute each element of the first as often as the second reads it.
+    first = jax.lax.optimization_barrier(multiply(inverse, tangents[0]))
+    return inverse, -multiply(first, inverse)
 
 
 @jax.custom_jvp
@@ -98,15 +105,58 @@ def cholesky_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
 
 
 def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Array, "*d n k"]:
-    """a b as an elementwise sum of outer products.
+    """a b, the batch axes broadcast; over few terms (m) as an elementwise sum of outer products.
 
-    For 2 x 2 and 3 x 3 matrices in large batches this fuses with its neighbours, where `a @ b` is a separate
-    batched product that the CPU runs one matrix at a time.
+    In large batches that fuses with its neighbours, where `a @ b` is a separate batched product that the CPU runs one
+    matrix at a time.
     """
-    if max(a.shape[-2:] + b.shape[-1:]) > UNROLLED:
+    if a.shape[-1] > UNROLLED:
         return a @ b
+    rank, dtype = max(a.ndim, b.ndim), jnp.result_type(a, b)
+    a, b = (jnp.expand_dims(x, tuple(range(rank - x.ndim))).astype(dtype) for x in (a, b))
+    return _product.bind(a, b)
+
+
+def _outer_products(a: Array, b: Array) -> Array:
+    """a b of equal ranks, whose batch axes are equal or 1."""
     terms = [a[..., :, k, None] * b[..., None, k, :] for k in range(a.shape[-1])]
-    return sum(terms[1:], start=terms[0]) if terms else jnp.zeros((*a.shape[:-1], b.shape[-1]), a.dtype)
+    if terms:
+        return sum(terms[1:], start=terms[0])
+    return jnp.zeros((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]), a.dtype)
+
+
+# A primitive of its own, so that its derivatives are such products too. Those that JAX would find, by transposing every
+# broadcast into a small reduction and every slice into a pad, cost 15 times the product on the CPU.
+_product = Primitive("small_product")
+_product.def_impl(_outer_products)
+_product.def_abstract_eval(
+    lambda a, b: a.update(
+        shape=(*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]),
+        weak_type=False,
+    )
+)
+mlir.register_lowering(_product, mlir.lower_fun(_outer_products, multiple_results=False))
+
+
+def _batched(arguments: Sequence[Array], axes: Sequence[int | None]) -> tuple[Array, int]:
+    a, b = (x[None] if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(arguments, axes, strict=True))
+    return _product.bind(a, b), 0
+
+
+batching.primitive_batchers[_product] = _batched
+
+
+def _summed(cotangent: Array, shape: tuple[int, ...]) -> Array:
+    """Summed over the axes along which an argument of that shape was broadcast."""
+    axes = tuple(i for i, (wide, narrow) in enumerate(zip(cotangent.shape, shape, strict=True)) if wide != narrow)
+    return jnp.sum(cotangent, axis=axes, keepdims=True) if axes else cotangent
+
+
+ad.defbilinear(
+    _product,
+    lambda g, a, b: _summed(multiply(g, jnp.swapaxes(b, -1, -2)), a.aval.shape),
+    lambda g, a, b: _summed(multiply(jnp.swapaxes(a, -1, -2), g), b.aval.shape),
+)
 
 
 def vech(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b p"]:

@@ -67,6 +67,8 @@ def prepare_replay(
     Raises ValueError where the recording has another number of dimensions than the scenario.
     """
     d, problem = scenario.dimension, scenario.problem()
+    if problem.schedule is not None:
+        raise ValueError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
     if recording.dimension != d:
         raise ValueError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
     far = float(np.abs(np.stack(recording.extent)).max())
@@ -140,7 +142,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
     error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
     square = ((error @ np.asarray(ready.problem.motion.Z, float).T) ** 2).sum(axis=-1)
     nees = np.einsum("kni,knij,knj->kn", error, np.asarray(trace.information, float)[1:], error)
-    seen, lost, longest = 0, 0, 0
+    seen, lost, longest = 0, 0, 0.0
     tracks = np.unique(index[1:][counts])
     for track in tracks:
         here = counts & (index[1:] == track)
@@ -148,7 +150,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         steps = np.flatnonzero(here[:, column])
         looks = visible[steps, column]
         seen += bool(looks.any())
-        longest = max(longest, int(longest_run(~looks[:, None])[0]))
+        longest = max(longest, float(longest_run(~looks[:, None], np.full(len(looks), tau))[0]))
         lost += bool(not looks[-1] and np.sqrt(square[steps[-1], column]) > ready.depth_m)
     total = max(1, int(counts.sum()))
     return ReplayRow(
@@ -159,7 +161,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         log_det_mean=float(np.asarray(trace.log_det, float)[counts].sum() / total),
         seen_fraction=seen / max(1, len(tracks)),
         seen_time_fraction=float(visible.sum() / total),
-        longest_unseen_s=longest * tau,
+        longest_unseen_s=longest,
         rmse_m=float(np.sqrt(square[counts].sum() / total)),
         nees=float(nees[counts].sum() / total),
         lost=lost,

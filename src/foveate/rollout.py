@@ -96,6 +96,7 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
 
 def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) -> State:
     """Every belief one step ahead; the pose is still T_k."""
+    problem = problem.at(state.step)
     ahead = jax.vmap(jax.vmap(belief.predict_information, (0, None)), (0, None))
     return State(
         step=state.step,
@@ -122,6 +123,7 @@ def act(
     problem: Problem, protocol: Protocol, predicted: State, instant: Instant, action: Action
 ) -> tuple[State, Bool[Array, " n"], Float[Array, "levels n"]]:
     """Move, measure and update; also which targets were really measured, and the weight each level gives them."""
+    problem = problem.at(predicted.step)
     sensor, motion, space = problem.sensor, problem.motion, problem.agent.space
     pose = problem.agent.move(predicted.pose, action, problem.tau)
     rotation = space.rotation(pose)

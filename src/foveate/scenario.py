@@ -3,142 +3,21 @@
 `Scenario` is what the `[scenario]` table of a configuration file holds; `Scenario.problem()` turns it into arrays.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.geometry import fov
-from foveate.geometry.space import SPACES
-from foveate.models.agent import Agent
+from foveate.agent_settings import AgentSettings, DifferentialDrive
+from foveate.checks import Matrix, covariance, matrix, not_negative, positive, require
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
-from foveate.problem import Problem
-
-Matrix = tuple[tuple[float, ...], ...]
-
-
-def _require(condition: bool, name: str, value: object, right: str) -> None:
-    if not condition:
-        raise ValueError(f"{name} = {value!r}: {right}")
-
-
-def _matrix(value: Matrix, name: str, shape: tuple[int | None, int | None]) -> np.ndarray:
-    rows = {len(row) for row in value}
-    _require(len(rows) == 1 and 0 not in rows, name, value, "expected a matrix with rows of one length")
-    matrix = np.array(value, float)
-    fits = all(want is None or have == want for have, want in zip(matrix.shape, shape, strict=True))
-    wanted = " x ".join("any" if size is None else str(size) for size in shape)
-    _require(fits, name, value, f"expected shape {wanted}, got {matrix.shape[0]} x {matrix.shape[1]}")
-    return matrix
-
-
-def _covariance(value: Matrix, name: str, size: int, definite: bool) -> np.ndarray:
-    matrix = _matrix(value, name, (size, size))
-    scale = np.abs(matrix).max()
-    _require(bool(np.abs(matrix - matrix.T).max() <= 1e-9 * scale), name, value, "a covariance is symmetric")
-    smallest = np.linalg.eigvalsh(matrix).min()
-    if definite:
-        _require(bool(smallest > 1e-12 * scale), name, value, "expected positive definite (all eigenvalues > 0)")
-    else:
-        _require(bool(smallest >= -1e-12 * scale), name, value, "a covariance has no negative eigenvalue")
-    return matrix
-
-
-@dataclass(frozen=True, kw_only=True)
-class DifferentialDrive:
-    """A ground vehicle that drives ahead and turns. Speeds in [m/s], turn rate in [rad/s]."""
-
-    kind: Literal["differential_drive"] = "differential_drive"
-    v_min_m_s: float = 0.0
-    v_max_m_s: float = 4.0
-    w_max_rad_s: float = math.pi / 3
-
-    def __post_init__(self) -> None:
-        _require(
-            self.v_min_m_s < self.v_max_m_s,
-            "v_max_m_s",
-            self.v_max_m_s,
-            f"expected > v_min_m_s {self.v_min_m_s}",
-        )
-        _require(self.w_max_rad_s > 0, "w_max_rad_s", self.w_max_rad_s, "expected > 0")
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return 2
-
-    def agent(self) -> Agent:
-        """The body with its limits as arrays."""
-        return Agent(
-            space=SPACES["planar"],
-            axes=(0, 2),
-            lower=jnp.array([self.v_min_m_s, -self.w_max_rad_s]),
-            upper=jnp.array([self.v_max_m_s, self.w_max_rad_s]),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TriangleView:
-    """A triangle with its apex at the agent, opening ahead: depth [m] along the axis, full angle [deg]."""
-
-    shape: Literal["triangle"] = "triangle"
-    depth_m: float = 2.0
-    angle_deg: float = 120.0
-
-    def __post_init__(self) -> None:
-        _require(self.depth_m > 0, "depth_m", self.depth_m, "expected > 0")
-        _require(0 < self.angle_deg < 180, "angle_deg", self.angle_deg, "expected between 0 and 180")
-
-    dimension = 2
-
-    def view(self) -> fov.FieldOfView:
-        """The shape."""
-        return fov.triangle(self.depth_m, math.radians(self.angle_deg))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SectorView:
-    """A circular sector with its apex at the agent: radius [m], full angle [deg]."""
-
-    shape: Literal["sector"] = "sector"
-    depth_m: float = 10.0
-    angle_deg: float = 90.0
-
-    def __post_init__(self) -> None:
-        _require(self.depth_m > 0, "depth_m", self.depth_m, "expected > 0")
-        _require(0 < self.angle_deg <= 360, "angle_deg", self.angle_deg, "expected between 0 and 360")
-
-    dimension = 2
-
-    def view(self) -> fov.FieldOfView:
-        """The shape."""
-        return fov.sector(self.depth_m, math.radians(self.angle_deg))
-
-
-@dataclass(frozen=True, kw_only=True)
-class PolygonView:
-    """Any convex polygon in the body frame [m]."""
-
-    shape: Literal["polygon"]
-    vertices_m: tuple[tuple[float, float], ...]
-
-    def __post_init__(self) -> None:
-        fov.polygon(self.vertices_m)
-
-    dimension = 2
-
-    @property
-    def depth_m(self) -> float:
-        """Largest distance from the agent to a point of the view [m]."""
-        return max(math.hypot(*vertex) for vertex in self.vertices_m)
-
-    def view(self) -> fov.FieldOfView:
-        """The shape."""
-        return fov.polygon(self.vertices_m)
+from foveate.problem import Problem, Schedule
+from foveate.target_settings import DriftTarget, TargetSettings
+from foveate.view_settings import TriangleView, ViewSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,74 +36,40 @@ class SensorSettings:
     range_growth_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        _require(self.std_m > 0, "std_m", self.std_m, "expected > 0")
-        _require(self.range_growth_per_m >= 0, "range_growth_per_m", self.range_growth_per_m, "expected >= 0")
+        positive(self, "std_m")
+        not_negative(self, "range_growth_per_m")
         if self.H is not None:
-            _matrix(self.H, "H", (None, None))
+            matrix(self.H, "H", (None, None))
         if self.V is not None:
-            _covariance(self.V, "V", len(self.V), definite=True)
+            covariance(self.V, "V", len(self.V), definite=True)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriftTarget:
-    """Position only: y' = y + xi + w, the paper's target. `process_std_m` [m] per step; `W` overrides it in full."""
+class ScheduleSettings:
+    """What changes from step to step, over and over: step k takes entry k modulo the length of a list.
 
-    kind: Literal["drift"] = "drift"
-    process_std_m: float = 0.05
-    W: Matrix | None = None
-    initial_variance_m2: float = 2.0
+    `tau_s`: the length of each step [s], for which motion that knows time (constant velocity, constant acceleration)
+    is discretised anew. `W`, `V`: covariances in place of the targets' process noise and the sensor's noise.
+    What is left empty stays as it is elsewhere in the scenario.
+    """
 
-    def __post_init__(self) -> None:
-        _require(self.process_std_m >= 0, "process_std_m", self.process_std_m, "expected >= 0")
-        _require(self.initial_variance_m2 > 0, "initial_variance_m2", self.initial_variance_m2, "expected > 0")
-        if self.W is not None:
-            _covariance(self.W, "W", len(self.W), definite=False)
-
-    def motion(self, dimension: int, tau_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A, B, W, Z."""
-        del tau_s
-        eye = np.eye(dimension)
-        W = self.process_std_m**2 * eye if self.W is None else _covariance(self.W, "W", dimension, definite=False)
-        return eye, eye, W, eye
-
-    def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief [m^2]."""
-        return self.initial_variance_m2 * np.eye(dimension)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LinearTarget:
-    """Any linear-Gaussian target y' = A y + B xi + w, position Z y, covariance of the first belief `prior`."""
-
-    kind: Literal["linear"]
-    A: Matrix
-    B: Matrix
-    W: Matrix
-    Z: Matrix
-    prior: Matrix
+    tau_s: tuple[float, ...] = ()
+    W: tuple[Matrix, ...] = ()
+    V: tuple[Matrix, ...] = ()
 
     def __post_init__(self) -> None:
-        size = len(self.A)
-        A = _matrix(self.A, "A", (size, size))
-        _matrix(self.B, "B", (size, None))
-        W = _covariance(self.W, "W", size, definite=False)
-        _covariance(self.prior, "prior", size, definite=True)
-        smallest = np.linalg.svd(np.hstack([A, W]), compute_uv=False).min()
-        singular = smallest <= 1e-12 * max(np.abs(A).max(), np.abs(W).max())
-        right = "the predicted covariance A P A^T + W is singular: W must add noise wherever A loses rank"
-        _require(not singular, "A, W", (self.A, self.W), right)
+        require(min(self.tau_s, default=1.0) > 0, "tau_s", self.tau_s, "expected lengths of steps, each > 0")
+        for W in self.W:
+            covariance(W, "W", len(W), definite=False)
+        for V in self.V:
+            covariance(V, "V", len(V), definite=True)
+        lengths = sorted({len(part) for part in (self.tau_s, self.W, self.V) if part})
+        require(len(lengths) <= 1, "tau_s, W, V", lengths, "expected lists of one length")
 
-    def motion(self, dimension: int, tau_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A, B, W, Z."""
-        del tau_s
-        Z = _matrix(self.Z, "Z", (dimension, len(self.A)))
-        _require(int(np.linalg.matrix_rank(Z)) == dimension, "Z", self.Z, f"expected rank {dimension}")
-        return np.array(self.A), np.array(self.B), np.array(self.W), Z
-
-    def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief."""
-        del dimension
-        return np.array(self.prior)
+    @property
+    def length(self) -> int:
+        """Steps after which it begins again; 0 where nothing changes."""
+        return max(len(self.tau_s), len(self.W), len(self.V))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,25 +105,19 @@ class SceneSettings:
     initial_error: Literal["paper", "consistent"] = "paper"
 
     def __post_init__(self) -> None:
-        _require(self.targets_min >= 1, "targets_min", self.targets_min, "expected >= 1")
+        require(self.targets_min >= 1, "targets_min", self.targets_min, "expected >= 1")
         right = f"expected >= targets_min {self.targets_min}"
-        _require(self.targets_max >= self.targets_min, "targets_max", self.targets_max, right)
-        for name in (
-            "half_side_per_target_m",
-            "agent_spread",
-            "agent_test_half_side_m",
-            "jitter_m_s",
-        ):
-            _require(getattr(self, name) >= 0, name, getattr(self, name), "expected >= 0")
-        _require(min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis")
-        _require(min(self.drift_m_s, default=-1) >= 0, "drift_m_s", self.drift_m_s, "expected >= 0 per axis")
+        require(self.targets_max >= self.targets_min, "targets_max", self.targets_max, right)
+        not_negative(self, "half_side_per_target_m", "agent_spread", "agent_test_half_side_m", "jitter_m_s")
+        require(min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis")
+        require(min(self.drift_m_s, default=-1) >= 0, "drift_m_s", self.drift_m_s, "expected >= 0 per axis")
         right = "expected one number per axis, as many as half_side_m"
         for name in ("centre_m", "drift_m_s"):
-            _require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
+            require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
         smallest = min(self.half_side_m) + self.half_side_per_target_m
-        _require(not self.turnover or smallest > 0, "half_side_m", self.half_side_m, "expected > 0 with turnover")
-        _require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
-        _require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
+        require(not self.turnover or smallest > 0, "half_side_m", self.half_side_m, "expected > 0 with turnover")
+        require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
+        require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
 
     def horizon(self, targets: int) -> int:
         """Steps of an episode with that many targets."""
@@ -290,29 +129,34 @@ class Scenario:
     """One world: what moves, who looks, how well, and how often (`tau_s` [s] between decisions)."""
 
     tau_s: float = 1.0
-    agent: DifferentialDrive = field(default_factory=DifferentialDrive)
-    view: TriangleView | SectorView | PolygonView = field(default_factory=TriangleView)
+    agent: AgentSettings = field(default_factory=DifferentialDrive)
+    view: ViewSettings = field(default_factory=TriangleView)
     sensor: SensorSettings = field(default_factory=SensorSettings)
-    target: DriftTarget | LinearTarget = field(default_factory=DriftTarget)
+    target: TargetSettings = field(default_factory=DriftTarget)
     scenes: SceneSettings = field(default_factory=SceneSettings)
+    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
 
     def __post_init__(self) -> None:
-        _require(self.tau_s > 0, "tau_s", self.tau_s, "expected > 0")
-        d = self.agent.dimension
+        positive(self, "tau_s")
+        d = self.dimension
         right = f"expected a shape in {d} dimensions, as the agent's"
-        _require(self.view.dimension == d, "view.shape", self.view.shape, right)
-        _require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
+        require(self.view.dimension == d, "view.shape", self.view.shape, right)
+        require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
         A, _, _, Z = self.target.motion(d, self.tau_s)
         H = self._observation(Z)
         if H.shape[1] != len(A):
             raise ValueError(f"sensor.H has {H.shape[1]} columns: expected {len(A)}, the length of a target's state")
-        size = 1 if self.sensor.V is None else len(self.sensor.V)
-        if self.sensor.V is not None and size != H.shape[0]:
-            raise ValueError(
-                f"sensor.V is {size} x {size}: expected {H.shape[0]} x {H.shape[0]}, one row per measurement"
-            )
         if len(H) > len(A):
             raise ValueError(f"sensor.H has {len(H)} rows: expected at most {len(A)}, the length of a target's state")
+        noises = [("sensor.V", V) for V in (self.sensor.V,) if V is not None]
+        for name, V in [*noises, *(("schedule.V", V) for V in self.schedule.V)]:
+            if len(V) != len(H):
+                raise ValueError(
+                    f"{name} is {len(V)} x {len(V)}: expected {len(H)} x {len(H)}, one row per measurement"
+                )
+        for W in self.schedule.W:
+            if len(W) != len(A):
+                raise ValueError(f"schedule.W is {len(W)} x {len(W)}: expected {len(A)} x {len(A)}, as targets' states")
         if any(self.scenes.drift_m_s) and not self.problem().motion.takes_drift:
             right = (
                 "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or an input for each axis)"
@@ -322,7 +166,7 @@ class Scenario:
             raise ValueError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
-        return Z if self.sensor.H is None else _matrix(self.sensor.H, "sensor.H", (None, None))
+        return Z if self.sensor.H is None else matrix(self.sensor.H, "sensor.H", (None, None))
 
     @property
     def dimension(self) -> int:
@@ -332,8 +176,7 @@ class Scenario:
     def problem(self) -> Problem:
         """The arrays that simulation works on."""
         d = self.dimension
-        A, B, W, Z = self.target.motion(d, self.tau_s)
-        H = self._observation(Z)
+        H = self._observation(self.target.motion(d, self.tau_s)[-1])
         V = self.sensor.std_m**2 * np.eye(len(H)) if self.sensor.V is None else np.array(self.sensor.V)
         sensor = Sensor(
             H=_array(H),
@@ -345,9 +188,27 @@ class Scenario:
         return Problem(
             agent=self.agent.agent(),
             sensor=sensor,
-            motion=LinearGaussian(A=_array(A), B=_array(B), W=_array(W), Z=_array(Z)),
+            motion=self._motion(self.tau_s),
             tau=_array(self.tau_s),
             prior_information=_array(np.linalg.inv(self.target.prior_covariance(d))),
+            schedule=self._schedule(V),
+        )
+
+    def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
+        A, B, own, Z = self.target.motion(self.dimension, tau_s)
+        return LinearGaussian(A=_array(A), B=_array(B), W=_array(own if W is None else W), Z=_array(Z))
+
+    def _schedule(self, V: np.ndarray) -> Schedule | None:
+        """One entry a step; what the settings leave empty is as at all times."""
+        given = self.schedule
+        if given.length == 0:
+            return None
+        taus = given.tau_s or (self.tau_s,) * given.length
+        motions = [self._motion(tau, W) for tau, W in zip(taus, given.W or (None,) * given.length, strict=True)]
+        return Schedule(
+            tau=_array(taus),
+            motion=jax.tree.map(lambda *parts: jnp.stack(parts), *motions),
+            V=_array(given.V or [V] * given.length),
         )
 
 

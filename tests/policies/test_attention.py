@@ -12,7 +12,8 @@ from scipy.special import softmax
 from foveate.policies.attention import AttentionPolicy, AttentionSettings, masked_softmax
 from foveate.policies.inputs import policy_inputs
 from foveate.problem import Observation
-from foveate.scenario import LinearTarget, Scenario, SceneSettings
+from foveate.scenario import Scenario, SceneSettings
+from foveate.target_settings import LinearTarget
 
 KEY = jax.random.key(0)
 RNG = np.random.default_rng(0)

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from foveate.agent_settings import DifferentialDrive
 from foveate.policies.handmade import METHODS, handmade
 from foveate.problem import Episode, Observation
 from foveate.rollout import TRUE, rollout
-from foveate.scenario import DifferentialDrive, Scenario, TriangleView
+from foveate.scenario import Scenario
+from foveate.view_settings import TriangleView
 
 PROBLEM = Scenario().problem()
 REVERSING = replace(Scenario(), agent=DifferentialDrive(v_min_m_s=-1.0)).problem()

@@ -1,7 +1,9 @@
 """The Kalman filter of one target in information form (paper, section 2), batched over targets by `vmap`."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from foveate.linalg import inverse_spd, multiply, symmetrise
@@ -18,8 +20,40 @@ class Belief(eqx.Module):
 
 def predict_information(information: Information, motion: LinearGaussian) -> Information:
     """P' = (A Y^-1 A^T + W)^-1; exact for singular A too, as long as A Y^-1 A^T + W is not singular."""
-    covariance = multiply(multiply(motion.A, inverse_spd(information)), motion.A.T) + motion.W
-    return symmetrise(inverse_spd(symmetrise(covariance)))
+    return _predict(information, motion.A, motion.W)
+
+
+@jax.custom_jvp
+def _predict(information: Information, A: Float[Array, "n_y n_y"], W: Float[Array, "n_y n_y"]) -> Information:
+    return _predicted(information, A, W)[0]
+
+
+def _predicted(information, A, W):
+    """P' and A Y^-1."""
+    spread = multiply(A, inverse_spd(information))
+    return symmetrise(inverse_spd(symmetrise(multiply(spread, A.T) + W))), spread
+
+
+def _predict_jvp(primals, tangents):
+    """dP' = G dY G^T with G = P' A Y^-1, and -P' (2 sym(dA Y^-1 A^T) + dW) P' where the motion is differentiated too.
+
+    Two products where the chain rule through both inverses needs six.
+    """
+    prediction, spread = _predicted(*primals)
+    d_information, d_A, d_W = tangents
+    change = jnp.zeros_like(prediction)
+    if not isinstance(d_information, SymbolicZero):
+        gain = multiply(prediction, spread)
+        change += multiply(jax.lax.optimization_barrier(multiply(gain, d_information)), gain.T)
+    if not isinstance(d_A, SymbolicZero):
+        moved = multiply(d_A, spread.T)
+        change -= multiply(multiply(prediction, moved + moved.T), prediction)
+    if not isinstance(d_W, SymbolicZero):
+        change -= multiply(multiply(prediction, d_W), prediction)
+    return prediction, symmetrise(change)
+
+
+_predict.defjvp(_predict_jvp, symbolic_zeros=True)
 
 
 def update_information(prediction: Information, gain: Information, weight: Float[Array, ""]) -> Information:

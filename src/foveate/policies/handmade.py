@@ -51,7 +51,8 @@ class Steering(Policy):
         goal_world, exists, memory = self.goal(observation, memory)
         agent = self.problem.agent
         point = agent.space.to_body(observation.pose, goal_world)
-        there = agent.action(_twist_towards(point, self.standoff_m, self.problem.tau)[jnp.array(agent.axes)])
+        tau = self.problem.at(observation.step).tau
+        there = agent.action(_twist_towards(point, self.standoff_m, tau)[jnp.array(agent.axes)])
         rest = agent.action(jnp.zeros_like(agent.lower))
         return jnp.where(exists, there, rest), memory
 
@@ -122,7 +123,7 @@ class Lawnmower(Steering):
         agent = self.problem.agent
         linear = jnp.array([i for i, axis in enumerate(agent.axes) if axis < agent.space.dimension], int)
         speed = jnp.max(jnp.maximum(-agent.lower, agent.upper)[linear], initial=0.0)
-        reach = jnp.maximum(0.5 * speed * self.problem.tau, self.standoff_m)
+        reach = jnp.maximum(0.5 * speed * self.problem.at(observation.step).tau, self.standoff_m)
         away = jnp.linalg.norm(corners[turn] - agent.space.position(observation.pose))
         turn = jnp.where(away < reach, (turn + 1) % len(corners), turn)
         return corners[turn], jnp.array(True), (corners, turn)

@@ -2,7 +2,6 @@
 
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -25,12 +24,13 @@ def policy_inputs(
     mean, information = observation.mean, observation.information
     if frame == "world":
         return space.log(observation.pose), jnp.concatenate([mean / length_m, vech(information)], axis=-1)
-    d, size = space.dimension, mean.shape[-1]
-    position_body = space.to_body(observation.pose, mean[:, :d])
+    d, (n, size) = space.dimension, mean.shape
     turn = space.rotation(observation.pose)
-    later_body = mean[:, d:].reshape(len(mean), size // d - 1, d) @ turn
-    mean_body = jnp.concatenate([position_body, later_body.reshape(len(mean), size - d)], axis=-1)
-    turns = jax.scipy.linalg.block_diag(*[turn] * (size // d))
-    information_body = multiply(multiply(turns.T, information), turns)
+    position_body = space.to_body(observation.pose, mean[:, :d])
+    later_body = multiply(mean[:, d:].reshape(-1, d), turn).reshape(n, size - d)
+    mean_body = jnp.concatenate([position_body, later_body], axis=-1)
+    # diag(R, R, ..)^T P diag(R, R, ..): every d numbers of a row, then of a column, are turned by one product.
+    rows_body = multiply(information.reshape(-1, d), turn).reshape(n, size, size)
+    information_body = multiply(jnp.swapaxes(rows_body, -1, -2).reshape(-1, d), turn).reshape(n, size, size)
     pose_body = jnp.zeros(space.twist_size, mean.dtype)
     return pose_body, jnp.concatenate([mean_body / length_m, vech(information_body)], axis=-1)
