@@ -246,7 +246,7 @@ def test_a_scene_without_targets(real, tmp_path):
 
 @pytest.mark.parametrize(("steps", "count"), [(0, 1), (1, 4), (4, 13), (49, 148), (74, 149), (149, 150), (300, 101)])
 def test_frames_are_few_evenly_spaced_and_end_at_the_end(steps, count):
-    moments = animation.frame_moments(steps)
+    moments = animation.frame_moments(steps, 150)
     assert len(moments) == count
     assert moments[0] == 0
     assert moments[-1] == SUBSTEPS * steps
@@ -310,19 +310,6 @@ def test_mp4_pipes_every_frame(tmp_path, monkeypatch):
 def test_animate_refuses(tmp_path, name, options, message):
     with pytest.raises(ValueError, match=message):
         animation.animate(made_up(), tmp_path / name, **options)
-
-
-def test_pictures_are_planar(tmp_path):
-    shapes = {"truth": (3, 1, 3), "estimate": (3, 1, 3), "covariance": (3, 1, 3, 3), "pose": (3, 4, 4)}
-    zeros = {name: np.zeros(shape) for name, shape in shapes.items()}
-    made = made_up(2, 1, space=SPACES["spatial"], outline=(np.zeros((2, 3)),), **zeros)
-    for draw in (
-        lambda path: figures.trajectory_figure([made], path),
-        lambda path: figures.replay_figure({"a": made}, path),
-        lambda path: animation.animate(made, path),
-    ):
-        with pytest.raises(ValueError, match="pictures are planar"):
-            draw(tmp_path / "a.png")
 
 
 def test_nothing_to_draw_and_wrong_endings_are_refused(tmp_path):

@@ -17,9 +17,21 @@ FLOORS = [
         *("scenes", "rollout", "episodes", "environment"),
     ],
     ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
-    ["settings", "checkpoint", "evaluation", "film", "recorded", "motion_fit", "fit", "replay"],
+    ["settings", "checkpoint", "evaluation", "poses", "film", "recorded", "motion_fit", "fit", "replay"],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
-    ["drawing", "figures", "animation", "gym", "export", "stonesoup", "view", "cli.*"],
+    [
+        "drawing",
+        "solids",
+        "drawing_spatial",
+        "stages",
+        "figures",
+        "animation",
+        "gym",
+        "export",
+        "stonesoup",
+        "view",
+        "cli.*",
+    ],
 ]
 """From the ground up; files may be missing. "cli.*" is any module of that package, in any order, acyclic.
 

@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -15,11 +16,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from foveate.drawing import BLACK, GREY, PALE, SEEN, Stage, broken, clean, describe, legend_entries, limits, new_figure
+from foveate.drawing import BLACK, GREY, PALE, SEEN, broken, clean, describe, legend_entries, new_figure
 from foveate.files import write_atomic
 from foveate.film import SUBSTEPS, Film
+from foveate.stages import stage_of
 
-MAX_FRAMES = 150
 DPI = 100
 COLORS = 128
 HOLD_S = 1.5
@@ -31,12 +32,11 @@ Show = Callable[[int], None]
 def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
     """Write an episode as `.gif` (looping for ever), `.mp4` (through ffmpeg), or its last moment as `.png`.
 
-    Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses; right, log det of each
-    target's information after every step, a dot where it was measured, and the mean. Up to three frames a step, at
-    most MAX_FRAMES in all: a long episode skips instants. `size` is in pixels, even numbers. Raises ValueError for
-    another ending, a film in space, a bad size, and for `.mp4` where ffmpeg is missing or fails.
+    Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses or ellipsoids; right, log det
+    of each target's information after every step, a dot where it was measured, and the mean. Up to three frames a
+    step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers. Raises
+    ValueError for another ending, a bad size, and for `.mp4` where ffmpeg is missing or fails.
     """
-    film.require_planar()
     kind = path.suffix.lower()
     if kind not in (".gif", ".mp4", ".png"):
         raise ValueError(f"{path}: expected a name that ends in .gif, .mp4 or .png")
@@ -46,7 +46,7 @@ def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900,
         raise ValueError(f"fps = {fps}: expected from 1 to 50 frames a second")
     if kind == ".mp4" and shutil.which("ffmpeg") is None:
         raise ValueError(f"{path}: ffmpeg is missing: install it, or write a .gif")
-    moments = frame_moments(film.steps)
+    moments = frame_moments(film.steps, stage_of(film).max_frames)
     if kind == ".png":
         buffer = io.BytesIO()
         Image.fromarray(next(_frames(film, moments[-1:], size))).save(buffer, "PNG")
@@ -56,10 +56,10 @@ def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900,
         write_atomic(path, encode(list(_frames(film, moments, size)), fps))
 
 
-def frame_moments(steps: int) -> list[int]:
+def frame_moments(steps: int, most: int) -> list[int]:
     """The moments (in SUBSTEPS a step) of the frames: the first and the last instant always, evenly spaced between."""
-    per_step = max((count for count in (1, 2, 3) if steps * count < MAX_FRAMES), default=1)
-    skip = -(-steps // (MAX_FRAMES - 1)) if steps else 1
+    per_step = max((count for count in (1, 2, 3) if steps * count < most), default=1)
+    skip = -(-steps // (most - 1)) if steps else 1
     stride = SUBSTEPS * skip if skip > 1 else SUBSTEPS // per_step
     end = SUBSTEPS * steps
     return [*range(0, end, stride), end]
@@ -86,22 +86,19 @@ def _frames(film: Film, moments: list[int], size: tuple[int, int]) -> Iterator[n
 def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Artist], Show]:
     """Everything on the figure: the artists that move, and what moves them."""
     width, height = size
-    # The map is a square as high as there is room for; the curves take what is left.
-    bottom, top, left = 82 / height, 1 - 60 / height, 56 / width
-    side = min((top - bottom) * height, 0.54 * width)
-    ground = figure.add_axes((left, bottom, side / width, side / height))
-    start = left + (side + 62) / width
-    curves = figure.add_axes((start, bottom, 1 - start - 14 / width, side / height))
-    stage = Stage(ground, film, limits([film]), trail=TRAIL_STEPS, scale=1.15)
-    clean(ground, 9.0)
-    ground.set_xlabel("x [m]", fontsize=9, labelpad=2)
-    ground.set_ylabel("y [m]", fontsize=9, labelpad=2)
+    kind, unit, bottom, top = stage_of(film), np.array([width, height, width, height]), 82.0, 60.0
+    place = kind.place(width, height, bottom, top)
+    ground: Any = figure.add_axes(tuple(place / unit), axes_class=kind.axes_class)
+    start, high = place[0] + place[2] + 62, min(place[3], height - bottom - top)
+    curves = figure.add_axes(tuple((start, bottom, width - start - 14, high) / unit))
+    stage = kind(ground, film, kind.limits([film]), trail=TRAIL_STEPS, scale=1.15)
+    stage.label(9.0)
     figure.text(14 / width, 1 - 12 / height, describe(film), fontsize=11, fontweight="bold", va="top")
-    clock = figure.text(left, bottom + (side + 7) / height, "", fontsize=10)
+    clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10)
     lines, show_curves = _curves(curves, film)
     style = {"frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}
-    place = {"loc": "lower center", "bbox_to_anchor": (0.5, 8 / height), "ncols": 5}
-    figure.legend(handles=legend_entries(), fontsize=min(9.0, width / 100), **place, **style)
+    below = {"loc": "lower center", "bbox_to_anchor": (0.5, 8 / height), "ncols": 5}
+    figure.legend(handles=legend_entries(), fontsize=min(9.0, width / 100), **below, **style)
 
     def show(moment: int) -> None:
         stage.show(moment)
@@ -127,6 +124,7 @@ def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
     pad = 0.06 * (high - low) + 0.1
     axes.set_xlim(0, max(film.times_s[-1], film.tau_s))
     axes.set_ylim(low - pad, high + pad)
+    axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
     axes.grid(color=PALE, lw=0.6)
     axes.set_axisbelow(True)
     clean(axes, 9.0)

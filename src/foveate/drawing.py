@@ -8,7 +8,7 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,7 +21,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
 from foveate.files import write_atomic
-from foveate.film import SUBSTEPS, Film
+from foveate.film import Film, snapshot
+from foveate.poses import placed
 
 BLUE, SKY, GREEN, VERMILLION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
 PURPLE, BLACK, GREY, PALE = "#CC79A7", "#000000", "#8C8C8C", "#E6E6E6"
@@ -41,12 +42,6 @@ def ellipses(mean: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 
     values, vectors = np.linalg.eigh(covariance)
     axes = vectors * np.sqrt(CHI_SQUARE_95 * np.maximum(values, 0.0))[:, None, :]
     return mean[:, None, :] + CIRCLE @ axes.swapaxes(-1, -2)
-
-
-def placed(pose: Float[np.ndarray, "3"], points_body: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
-    """Body-frame points in the world [m], for a planar pose [x, y, yaw]."""
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    return points_body @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
 
 
 def limits(films: Sequence[Film], margin: float = 0.04) -> Float[np.ndarray, "2 2"]:
@@ -69,11 +64,11 @@ def limits(films: Sequence[Film], margin: float = 0.04) -> Float[np.ndarray, "2 
     return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
 
 
-def broken(tracks: Float[np.ndarray, "instants n 2"], shown: Bool[np.ndarray, "instants n"]) -> np.ndarray:
+def broken(tracks: Float[np.ndarray, "instants n d"], shown: Bool[np.ndarray, "instants n"]) -> np.ndarray:
     """Many tracks as one line: one after the other, with NaN between them and where they are not shown."""
     line = np.where(shown[..., None], tracks, np.nan)
     gap = np.full((1, *line.shape[1:]), np.nan)
-    return np.concatenate([line, gap]).swapaxes(0, 1).reshape(-1, 2)
+    return np.concatenate([line, gap]).swapaxes(0, 1).reshape(-1, tracks.shape[-1])
 
 
 class Stage:
@@ -82,8 +77,23 @@ class Stage:
     `trail` is how many steps back trails and path reach, None for all. `scale` grows the symbols.
     """
 
+    axes_class: ClassVar[Any] = Axes
+    limits = staticmethod(limits)
+    max_frames = 150
+    """Of one animation."""
+    planes: ClassVar[tuple[tuple[int, int], ...]] = ((0, 1),)
+    """Pairs of the world's axes that a map shows: from above only."""
+    panel_shape, panel_scale, panel_text = 1.0, 1.0, 8.0
+    """In a small panel: its height over its width, the scale of symbols, the size of numbers [pt]."""
+
+    @staticmethod
+    def place(width: int, height: int, bottom: float, top: float) -> tuple[float, float, float, float]:
+        """Where the axes stand in a picture [pixels]: left, bottom, width, height. A square, as high as it may be."""
+        side = min(height - bottom - top, 0.54 * width)
+        return 56.0, bottom, side, side
+
     def __init__(self, axes: Axes, film: Film, box: np.ndarray, trail: int | None = None, scale: float = 1.0) -> None:
-        self.film, self.arc, self.trail = film, film.arc(), trail
+        self.axes, self.film, self.arc, self.trail = axes, film, film.arc(), trail
         self.size = 0.035 * scale * float(box[1, 0] - box[0, 0])
         axes.set_aspect("equal")
         axes.set_xlim(*box[:, 0])
@@ -117,33 +127,29 @@ class Stage:
         return [*self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
 
     def show(self, moment: int) -> None:
-        """Move to moment i: i / SUBSTEPS steps after the start.
-
-        Between two instants the agent is on its arc, positions are interpolated linearly, and a belief keeps its
-        covariance and colour until the next measurement can have come.
-        """
-        film, (k, part) = self.film, divmod(moment, SUBSTEPS)
-        later, share = min(k + 1, film.steps), part / SUBSTEPS
-        here, stays, seen = film.present[k], film.present[k] & film.present[later], film.seen_at(k)
-
-        def between(values: np.ndarray) -> np.ndarray:
-            return values[k] + share * stays[:, None] * (values[later] - values[k])
-
-        pose, truth, mean = self.arc[moment], between(film.truth), between(film.estimate)
-        first = 0 if self.trail is None else max(0, k - self.trail)
-        tracks = np.concatenate([film.truth[first : k + 1], truth[None]])
-        self.trails.set_data(*broken(tracks, np.concatenate([film.present[first : k + 1], here[None]])).T)
-        self.path.set_data(*self.arc[first * SUBSTEPS : moment + 1, :2].T)
-        for view, border in zip(self.views, film.outline, strict=True):
-            view.set_xy(placed(pose, border))
-        self.agent.set_xy(placed(pose, self.size * KITE))
-        self.targets.set_data(*truth[here].T)
+        """Move to a moment of the film (see `snapshot`)."""
+        now = snapshot(self.film, self.arc, moment, self.trail)
+        self.trails.set_data(*broken(now.tracks, now.tracked).T)
+        self.path.set_data(*now.path.T)
+        for view, border in zip(self.views, self.film.outline, strict=True):
+            view.set_xy(placed(now.pose, border))
+        self.agent.set_xy(placed(now.pose, self.size * KITE))
+        self.targets.set_data(*now.truth.T)
         for areas, means, which in (
-            (self.seen, self.seen_means, here & seen),
-            (self.unseen, self.unseen_means, here & ~seen),
+            (self.seen, self.seen_means, now.seen),
+            (self.unseen, self.unseen_means, ~now.seen),
         ):
-            areas.set_verts(list(ellipses(mean[which], film.covariance[k][which])))
-            means.set_data(*mean[which].T)
+            areas.set_verts(list(ellipses(now.estimate[which], now.covariance[which])))
+            means.set_data(*now.estimate[which].T)
+
+    def label(self, size: float, x: bool = True, y: bool = True) -> None:
+        """Quiet axes with small numbers, and the names of those that are asked for; y without a name has no numbers."""
+        clean(self.axes, size)
+        self.axes.tick_params(labelleft=y)
+        for wanted, name, axis in ((x, "x [m]", self.axes.xaxis), (y, "y [m]", self.axes.yaxis)):
+            if wanted:
+                axis.set_label_text(name, fontsize=size)
+                axis.labelpad = 2.5
 
 
 def legend_entries() -> list[Artist]:

@@ -4,10 +4,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
@@ -20,18 +22,18 @@ from foveate.drawing import (
     PALE,
     SEEN,
     VERMILLION,
-    Stage,
     broken,
     clean,
     describe,
     legend_entries,
-    limits,
     new_figure,
     save,
 )
 from foveate.files import read_text
 from foveate.film import SUBSTEPS, Film
 from foveate.learning.training import METRICS, Check
+from foveate.poses import positions, rotation
+from foveate.stages import stage_of
 
 WIDTH = 9.0
 """Inches; at README width (about 900 pixels) a point is then 1.4 pixels."""
@@ -42,28 +44,26 @@ def trajectory_figure(films: Sequence[Film], path: Path) -> None:
     """One row a film: the start, a third, two thirds and the end of it.
 
     Each panel shows the agent and its path so far, its field of view there, the targets (squares) with their tracks so
-    far, and what is believed about them: mean (cross) and 95 % ellipse, solid if the target was measured at
-    that instant, dashed if not. Films that begin with the same targets share their limits. Raises ValueError for
-    films in space, or none.
+    far, and what is believed about them: mean (cross) and 95 % ellipse or ellipsoid, solid if the target was
+    measured at that instant, dashed if not. Films that begin with the same targets share their limits. Raises
+    ValueError for no film.
     """
     if not films:
         raise ValueError("no film to draw: expected at least one")
-    for film in films:
-        film.require_planar()
-    panel = WIDTH / COLUMNS
-    figure = new_figure(WIDTH, len(films) * (panel + 0.3) + 0.3)
-    rows = figure.subfigures(len(films), 1, squeeze=False)[:, 0]
+    heights = [WIDTH / COLUMNS * stage_of(film).panel_shape + 0.3 for film in films]
+    figure = new_figure(WIDTH, sum(heights) + 0.3)
+    rows = figure.subfigures(len(films), 1, squeeze=False, height_ratios=heights)[:, 0]
     for row, film in zip(rows, films, strict=True):
         row.suptitle(describe(film), x=0.01, ha="left", fontsize=9, fontweight="bold")
-        box = limits([other for other in films if _same_scene(film, other)])
+        kind = stage_of(film)
+        box = kind.limits([other for other in films if _same_scene(film, other)])
         instants = [round(film.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
-        for axes, instant in zip(row.subplots(1, COLUMNS, sharey=True), instants, strict=True):
-            Stage(axes, film, box).show(SUBSTEPS * instant)
-            clean(axes)
+        for column, instant in enumerate(instants):
+            axes: Any = row.add_subplot(1, COLUMNS, column + 1, axes_class=kind.axes_class)
+            stage = kind(axes, film, box, scale=kind.panel_scale)
+            stage.show(SUBSTEPS * instant)
+            stage.label(kind.panel_text, x=row is rows[-1], y=column == 0)
             axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
-        figure.axes[-COLUMNS].set_ylabel("y [m]", fontsize=8.5, labelpad=3)
-    for axes in figure.axes[-COLUMNS:]:
-        axes.set_xlabel("x [m]", fontsize=8.5, labelpad=3)
     figure.legend(handles=legend_entries(), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
     save(figure, path)
 
@@ -160,20 +160,20 @@ def _seconds_on_top(axes: Axes, checks: Sequence[Check]) -> None:
 def replay_figure(films: Mapping[str, Film], path: Path) -> None:
     """A recording as several methods saw it; map and timeline are those of the first.
 
-    Left, the map: every target's track in grey, in colour while it was seen, and the agent's path from the triangle
-    on. Right, the timeline: one row a slot, which holds one target after another, light while one is there, dark
-    while it is seen; below it the share of all target time that each method saw. Raises ValueError for films in
-    space, or none.
+    Left, the map (of space: from above and from the side): every target's track in grey, in colour while it was seen,
+    and the agent's path from the triangle on. Right, the timeline: one row a slot, which holds one target after
+    another, light while one is there, dark while it is seen; below it the share of all target time that each method
+    saw. Raises ValueError for no film.
     """
     if not films:
         raise ValueError("no film to draw: expected at least one")
     name, film = next(iter(films.items()))
-    film.require_planar()
     bars = 0.26 * len(films) + 0.25
-    figure = new_figure(WIDTH, max(4.4, 2.9 + bars))
+    height = max(3.4 + 1.0 * len(stage_of(film).planes), 2.9 + bars)
+    figure = new_figure(WIDTH, height)
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
-    _map(left.subplots(), film, name)
-    timeline, shares = right.subplots(2, 1, height_ratios=(max(4.4, 2.9 + bars) - 0.9 - bars, bars))
+    _maps(left, film, name)
+    timeline, shares = right.subplots(2, 1, height_ratios=(height - 0.9 - bars, bars))
     _timeline(timeline, film, name)
     _shares(shares, films)
     handles = [
@@ -187,20 +187,40 @@ def replay_figure(films: Mapping[str, Film], path: Path) -> None:
     save(figure, path)
 
 
-def _map(axes: Axes, film: Film, name: str) -> None:
-    """Tracks, where they were seen, and the way of the agent."""
-    axes.plot(*broken(film.truth, film.present).T, color=GREY, lw=0.6, alpha=0.8)
-    ends = np.stack([film.truth[:-1], film.truth[1:]], axis=2)
+def _maps(part: SubFigure, film: Film, name: str) -> None:
+    """What was seen where, from every side that the space has: of one scale, one above the other."""
+    planes = stage_of(film).planes
+    points = np.concatenate([film.truth[film.present], positions(film.pose)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    pad = max(0.05 * (high - low).max(), 0.5)
+    sides = part.subplots(
+        len(planes), 1, sharex=True, squeeze=False, height_ratios=[(high - low + 2 * pad)[up] for _, up in planes]
+    )
+    for axes, plane in zip(sides[:, 0], planes, strict=True):
+        _map(axes, film, plane)
+        if len(planes) > 1:
+            axes.set_aspect("equal", adjustable="box")
+            (left, bottom), (right, top) = (low - pad)[list(plane)], (high + pad)[list(plane)]
+            axes.set(xlim=(left, right), ylim=(bottom, top))
+        axes.label_outer()
+    sides[0, 0].set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
+
+
+def _map(axes: Axes, film: Film, plane: tuple[int, int]) -> None:
+    """Tracks, where they were seen, and the way of the agent, in the plane of two axes of the world."""
+    across, up = plane
+    truth, arc = film.truth[..., plane], film.arc()
+    axes.plot(*broken(truth, film.present).T, color=GREY, lw=0.6, alpha=0.8)
+    ends = np.stack([truth[:-1], truth[1:]], axis=2)
     axes.add_collection(LineCollection(list(ends[film.visible & film.counted]), colors=SEEN, lw=2.2, zorder=3))
-    arc = film.arc()
-    axes.plot(*arc[:, :2].T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
-    heading = (3, 0, np.degrees(arc[0, 2]) - 90)
-    axes.plot(*arc[0, :2], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
+    way, nose = positions(arc)[:, plane], rotation(arc[0])[plane, 0]
+    axes.plot(*way.T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
+    heading = (3, 0, np.degrees(np.arctan2(nose[1], nose[0])) - 90)
+    axes.plot(*way[0], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
     axes.set_aspect("equal", adjustable="datalim")
     clean(axes)
-    axes.set_xlabel("x [m]", fontsize=8.5, labelpad=3)
-    axes.set_ylabel("y [m]", fontsize=8.5, labelpad=3)
-    axes.set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
+    axes.set_xlabel(f"{'xyz'[across]} [m]", fontsize=8.5, labelpad=3)
+    axes.set_ylabel(f"{'xyz'[up]} [m]", fontsize=8.5, labelpad=3)
 
 
 def _timeline(axes: Axes, film: Film, name: str) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from foveate.geometry.space import Space
+from foveate.poses import arc, positions
 from foveate.problem import Problem, Trace
 
 SUBSTEPS = 6
@@ -70,30 +71,52 @@ class Film:
         """Which targets were measured at an instant; none at the first."""
         return self.visible[instant - 1] if instant else np.zeros(self.targets, bool)
 
-    def arc(self) -> Float[np.ndarray, "poses 3"]:
-        """Planar poses along the way, SUBSTEPS a step: the twist that leads from one pose to the next is constant.
+    def arc(self) -> Float[np.ndarray, "poses ..."]:
+        """Poses along the way, SUBSTEPS a step: the twist that leads from one pose to the next is constant."""
+        return arc(self.pose, SUBSTEPS)
 
-        That is the way the agent took if it turned by at most pi in the step. Raises ValueError in space.
-        """
-        self.require_planar()
-        start, end = self.pose[:-1, None], self.pose[1:, None]
-        share = np.arange(SUBSTEPS) / SUBSTEPS
-        # In numpy, as jax would compile it anew for every length. An arc of w is its chord, sinc(w / 2) times as long,
-        # seen at half the angle; so a part of it is the whole chord turned back, and shortened.
-        w = -np.remainder(np.pi - (end - start)[..., 2], 2 * np.pi) + np.pi
-        turn = -0.5 * (1 - share) * w
-        length = share * np.sinc(share * w / (2 * np.pi)) / np.sinc(w / (2 * np.pi))
-        x, y = (end - start)[..., 0], (end - start)[..., 1]
-        ahead = length * (np.cos(turn) * x - np.sin(turn) * y), length * (np.sin(turn) * x + np.cos(turn) * y)
-        between = start + np.stack([*ahead, share * w], axis=-1)
-        return np.concatenate([between.reshape(-1, 3), self.pose[-1:]])
 
-    def require_planar(self) -> None:
-        """Raise ValueError for an episode in space."""
-        if self.space.dimension != 2:
-            raise ValueError(
-                f"{self.title or 'film'}: pictures are planar: this episode is in {self.space.dimension}-D"
-            )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Snapshot:
+    """What there is to see of a film at one moment [m]: the agent, its way, and the h targets that are there.
+
+    `tracks` and `tracked` (whether it was there) are those of ALL targets so far.
+    """
+
+    pose: Float[np.ndarray, "..."]
+    path: Float[np.ndarray, "poses d"]
+    tracks: Float[np.ndarray, "instants n d"]
+    tracked: Bool[np.ndarray, "instants n"]
+    truth: Float[np.ndarray, "h d"]
+    estimate: Float[np.ndarray, "h d"]
+    covariance: Float[np.ndarray, "h d d"]
+    seen: Bool[np.ndarray, " h"]
+
+
+def snapshot(film: Film, way: Float[np.ndarray, "poses ..."], moment: int, trail: int | None = None) -> Snapshot:
+    """A film at moment i: i / SUBSTEPS steps after the start. `way` is `film.arc()`; tracks reach `trail` steps back.
+
+    Between two instants the agent is on its arc, positions are interpolated linearly, and a belief keeps its
+    covariance and colour until the next measurement can have come.
+    """
+    k, part = divmod(moment, SUBSTEPS)
+    later, share = min(k + 1, film.steps), part / SUBSTEPS
+    here, stays = film.present[k], film.present[k] & film.present[later]
+
+    def between(values: np.ndarray) -> np.ndarray:
+        return values[k] + share * stays[:, None] * (values[later] - values[k])
+
+    truth, first = between(film.truth), 0 if trail is None else max(0, k - trail)
+    return Snapshot(
+        pose=way[moment],
+        path=positions(way[first * SUBSTEPS : moment + 1]),
+        tracks=np.concatenate([film.truth[first : k + 1], truth[None]]),
+        tracked=np.concatenate([film.present[first : k + 1], here[None]]),
+        truth=truth[here],
+        estimate=between(film.estimate)[here],
+        covariance=film.covariance[k][here],
+        seen=film.seen_at(k)[here],
+    )
 
 
 def film(

@@ -1,0 +1,335 @@
+"""Pictures of episodes in space: what is drawn stands where an outside oracle says, in whatever the camera shows."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation, Slerp
+from scipy.stats import chi2
+
+from foveate import animation, drawing, figures, poses, solids
+from foveate.drawing_spatial import DART, SpatialStage
+from foveate.film import SUBSTEPS, Film, film
+from foveate.geometry.fov import triangle
+from foveate.geometry.fov_spatial import cone, frustum, prism
+from foveate.geometry.space import SPACES
+from foveate.models.agent import Agent
+from foveate.models.sensor import Sensor
+from foveate.models.target import LinearGaussian
+from foveate.policies.handmade import handmade
+from foveate.problem import Episode, Problem, Truth
+from foveate.rollout import TRUE, rollout
+from foveate.stages import stage_of
+
+FRUSTUM = tuple(frustum(0.3, 6.0, 1.4, 1.0).outline())
+CHI_SQUARE = chi2.ppf(0.95, 3)
+
+
+def hat(twist):
+    v, (x, y, z) = twist[:3], twist[3:]
+    return np.array([[0, -z, y, v[0]], [z, 0, -x, v[1]], [-y, x, 0, v[2]], [0, 0, 0, 0]])
+
+
+def made_up(steps=4, n=3, seed=0, **changes) -> Film:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(steps + 1, n, 3, 3))
+    truth = rng.uniform(-6, 6, (n, 3)) + rng.normal(0, 0.3, (steps + 1, n, 3)).cumsum(axis=0)
+    pose = [expm(hat(rng.normal(size=6)))]
+    for _ in range(steps):
+        pose.append(pose[-1] @ expm(hat(rng.normal(0, 0.5, 6))))
+    values = {
+        "title": "made up",
+        "tau_s": 0.5,
+        "space": SPACES["spatial"],
+        "visible": rng.random((steps, n)) < 0.4,
+        "log_det": rng.normal(3, 2, (steps, n)),
+        "times_s": 0.5 * np.arange(steps + 1),
+        "pose": np.array(pose),
+        "truth": truth,
+        "estimate": truth + rng.normal(0, 0.4, (steps + 1, n, 3)),
+        "covariance": root @ root.swapaxes(-1, -2) + 0.1 * np.eye(3),
+        "present": np.ones((steps + 1, n), bool),
+        "outline": FRUSTUM,
+    }
+    return Film(**{**values, **changes})
+
+
+def stage(which: Film, moment: int, **options) -> SpatialStage:
+    axes = drawing.new_figure(3.0, 3.0).add_subplot(axes_class=SpatialStage.axes_class)
+    shown = SpatialStage(axes, which, SpatialStage.limits([which]), **options)
+    shown.show(moment)
+    return shown
+
+
+def line(drawn) -> np.ndarray:
+    return np.array(drawn.get_data_3d()).T
+
+
+def corners(collection) -> list[np.ndarray]:
+    """The lines of a 3-D collection, in the world."""
+    return [np.array(part) for part in collection._segments3d]
+
+
+# The way between two poses
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.7, 3.1, np.pi - 1e-9])
+def test_arc_is_the_exponential_of_a_constant_twist(angle):
+    rng = np.random.default_rng(3)
+    axis = rng.normal(size=3)
+    twist = hat(np.append(rng.normal(size=3), angle * axis / np.linalg.norm(axis)))
+    start = expm(hat(rng.normal(size=6)))
+    arc = made_up(1, 0, pose=np.array([start, start @ expm(twist)])).arc()
+    assert arc.shape == (SUBSTEPS + 1, 4, 4)
+    for i, pose in enumerate(arc):
+        np.testing.assert_allclose(pose, start @ expm(twist * i / SUBSTEPS), atol=1e-12)
+
+
+def test_arc_turns_evenly_from_instant_to_instant():
+    which = made_up(5, 0, seed=2)
+    arc, turns = which.arc(), Rotation.from_matrix(which.pose[:, :3, :3])
+    np.testing.assert_allclose(arc[::SUBSTEPS], which.pose, atol=1e-12)
+    expected = Slerp(np.arange(6), turns)(np.arange(len(arc)) / SUBSTEPS)
+    np.testing.assert_allclose(arc[:, :3, :3], expected.as_matrix(), atol=1e-12)
+
+
+def test_arc_of_single_precision_stays_a_rotation():
+    which = made_up(3, 0)
+    rounded = which.pose.astype(np.float32).astype(float)
+    turn = poses.arc(rounded, 7)[:, :3, :3]
+    np.testing.assert_allclose(turn @ turn.swapaxes(-1, -2), np.broadcast_to(np.eye(3), turn.shape), atol=1e-6)
+
+
+# Bodies
+
+
+def test_ellipsoids_are_where_chi_square_says():
+    which = made_up(2, 3, seed=4)
+    eye = np.array([20.0, -30.0, 25.0])
+    mean, covariance = which.estimate[0], which.covariance[0]
+    rims, arcs = solids.contours(mean, covariance, eye), solids.meridians(mean, covariance, eye)
+    assert rims.shape[0] == 3
+    assert arcs.shape[0] == 9
+    for j in range(3):
+        for points in (rims[j], *arcs[j::3]):
+            away = points - mean[j]
+            square = np.sum(away * np.linalg.solve(covariance[j], away.T).T, axis=1)
+            np.testing.assert_allclose(square, CHI_SQUARE, rtol=1e-9)
+
+
+def test_a_contour_is_where_the_eye_sees_the_ellipsoid_edge_on_and_meridians_face_it():
+    which = made_up(2, 2, seed=5)
+    eye = np.array([12.0, -15.0, 9.0])
+    mean, covariance = which.estimate[1], which.covariance[1]
+    for j in range(2):
+        rim = solids.contours(mean, covariance, eye)[j]
+        normal = np.linalg.solve(covariance[j], (rim - mean[j]).T).T
+        np.testing.assert_allclose(np.sum(normal * (eye - rim), axis=1), 0.0, atol=1e-8)
+        for arc in solids.meridians(mean, covariance, eye)[j::2]:
+            normal = np.linalg.solve(covariance[j], (arc - mean[j]).T).T
+            assert np.sum(normal * (eye - mean[j]), axis=1).min() > -1e-8
+
+
+def test_an_eye_within_an_ellipsoid_sees_no_border():
+    rim = solids.contours(np.zeros((1, 3)), np.eye(3)[None], np.array([0.1, 0.0, 0.2]))
+    assert np.isfinite(rim).all()
+    assert np.ptp(rim, axis=1).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("outline", "count"),
+    [
+        (frustum(0.3, 6.0, 1.4, 1.0).outline(), 2 + 4),
+        (frustum(0.0, 6.0, 1.4, 1.0).outline(), 2 + 4),
+        (cone(0.0, 5.0, 1.2).outline(), 3),
+        (cone(1.0, 5.0, 1.2).outline(), 4),
+        (prism(triangle(2.0, 2.0)).outline(4.0), 2 + 3),
+        ([np.eye(3)[:2]], 0),
+        ([], 0),
+    ],
+)
+def test_faces_span_closed_lines_and_what_edges_join(outline, count):
+    made = solids.faces(outline)
+    assert len(made) == count
+    points = np.concatenate([np.zeros((0, 3)), *outline])
+    for face in made:
+        # Every corner of a face is one of the outline's.
+        assert np.abs(face[:, None] - points).sum(axis=-1).min(axis=1).max() < 1e-9
+
+
+# The scene
+
+
+def test_view_and_agent_are_moved_by_the_pose():
+    which = made_up(3, 2, seed=1)
+    for instant in range(4):
+        shown, pose, dart = stage(which, 0), which.pose[instant], []
+        shown.agent.set_verts = dart.extend
+        shown.show(SUBSTEPS * instant)
+        for drawn, border in zip(corners(shown.edges), FRUSTUM, strict=True):
+            wanted = [(pose @ np.append(point, 1.0))[:3] for point in border]
+            np.testing.assert_allclose(drawn, wanted, atol=1e-12)
+        nose = (pose @ np.append(shown.size * DART[0], 1.0))[:3]
+        assert np.abs(np.concatenate(dart) - nose).sum(axis=1).min() < 1e-12
+
+
+def test_everything_stands_on_the_floor():
+    which = made_up(3, 2)
+    shown = stage(which, SUBSTEPS)
+    floor = SpatialStage.limits([which])[0, 2]
+    posts = np.append(which.truth[1], which.pose[1, None, :3, 3], axis=0)
+    drops = line(shown.drops).reshape(-1, 3, 3)
+    np.testing.assert_allclose(drops[:, 0], posts)
+    np.testing.assert_allclose(drops[:, 1, :2], posts[:, :2])
+    assert (drops[:, 1, 2] == floor).all()
+    np.testing.assert_allclose(line(shown.shadows), drops[:, 1])
+    assert (line(shown.path_shadow)[:, 2] == floor).all()
+
+
+def test_colour_follows_the_measurement_of_the_instant():
+    which = made_up(2, 3, visible=np.array([[1, 0, 0], [0, 1, 1]], bool))
+    for instant, seen in ((0, []), (1, [0]), (2, [1, 2])):
+        shown = stage(which, SUBSTEPS * instant)
+        unseen = [j for j in range(3) if j not in seen]
+        np.testing.assert_array_equal(line(shown.seen_means), which.estimate[instant][seen])
+        np.testing.assert_array_equal(line(shown.unseen_means), which.estimate[instant][unseen])
+        assert len(corners(shown.seen_net)) == 3 * len(seen)
+        assert len(corners(shown.unseen_net)) == 3 * len(unseen)
+
+
+def test_absent_targets_are_not_drawn():
+    present = np.ones((4, 3), bool)
+    present[:, 1] = False
+    present[2:, 2] = False
+    which = made_up(3, 3, present=present)
+    far = which.truth.copy()
+    far[:, 1] = 1e6
+    which = dataclasses.replace(which, truth=far, estimate=far)
+    assert np.abs(SpatialStage.limits([which])).max() < 100
+    for instant, there in ((0, [0, 2]), (3, [0])):
+        shown = stage(which, SUBSTEPS * instant)
+        np.testing.assert_array_equal(line(shown.targets), which.truth[instant][there])
+        assert len(corners(shown.seen_net)) + len(corners(shown.unseen_net)) == 3 * len(there)
+        assert len(line(shown.shadows)) == len(there) + 1
+        assert np.nanmax(np.abs(line(shown.trails))) < 100
+
+
+def test_scales_are_equal_and_the_box_stays_in_sight_as_the_camera_swings():
+    which = made_up(4, 3)
+    box = SpatialStage.limits([which])
+    points = np.concatenate([which.truth.reshape(-1, 3), which.pose[:, :3, 3]])
+    assert (points > box[0]).all()
+    assert (points < box[1]).all()
+    figure = drawing.new_figure(5.0, 3.0, layout=None)
+    axes = figure.add_axes((0.1, 0.0, 0.7, 0.9), axes_class=SpatialStage.axes_class)
+    shown = SpatialStage(axes, which, box, trail=40)
+    eyes = []
+    for moment in (0, 2 * SUBSTEPS, 4 * SUBSTEPS):
+        shown.show(moment)
+        figure.canvas.draw()
+        assert axes.bbox.width == pytest.approx(0.7 * figure.bbox.width)
+        x, y, _, w = axes.get_proj() @ np.append(points, np.ones((len(points), 1)), axis=1).T
+        pixels = axes.transData.transform(np.stack([x / w, y / w], axis=1))
+        assert axes.bbox.padded(1).count_contains(pixels) == len(points)
+        # The camera's plane is shown at equal scales, so that a ball is round; so is the box behind it, next.
+        across, up = np.diag(axes.transData.get_matrix())[:2]
+        assert across == pytest.approx(up)
+        eyes.append(axes.eye)
+    np.testing.assert_allclose(axes._box_aspect / np.ptp(box, axis=0), axes._box_aspect[0] / np.ptp(box[:, 0]))
+    assert np.linalg.norm(eyes[2] - eyes[0]) > 1.0
+    assert all(np.abs(axes.get_proj()[[0, 1, 3]] @ np.append(eyes[2], 1.0)) < 1e-9)
+
+
+def test_limits_of_one_point_alone_are_a_box():
+    alone = made_up(0, 0, outline=(), visible=np.zeros((0, 0), bool), times_s=np.zeros(1))
+    low, high = SpatialStage.limits([alone])
+    assert (low < alone.pose[0, :3, 3]).all()
+    assert (high > alone.pose[0, :3, 3]).all()
+
+
+def test_the_space_of_a_film_says_what_draws_it():
+    assert stage_of(made_up()) is SpatialStage
+    assert stage_of(dataclasses.replace(made_up(), space=SPACES["planar"])) is drawing.Stage
+
+
+# Files
+
+
+def test_film_of_constant_velocity_shows_positions_and_their_covariance(tmp_path):
+    eye, none = jnp.eye(3), jnp.zeros((3, 3))
+    Z = jnp.hstack([eye, none])
+    A = jnp.block([[eye, 0.5 * eye], [none, eye]])
+    problem = Problem(
+        agent=Agent(SPACES["spatial"], (0, 1, 2, 5), -jnp.ones(4), jnp.ones(4)),
+        sensor=Sensor(Z, 0.04 * eye, frustum(0.3, 6.0, 1.4, 1.0)),
+        motion=LinearGaussian(A, jnp.zeros((6, 1)), 0.01 * jnp.eye(6), Z),
+        tau=jnp.array(0.5),
+        prior_information=jnp.eye(6),
+    )
+    state = jax.random.normal(jax.random.key(1), (4, 2, 6)) + jnp.array([3.0, 0, 0, 0, 0, 0])
+    episode = Episode(
+        pose=problem.agent.space.identity(),
+        mean=state[0],
+        present=jnp.ones(2, bool),
+        inputs=jnp.zeros((3, 2, 1)),
+        horizon=jnp.array(3),
+        truth=Truth(state, jnp.zeros((3, 2, 3))),
+    )
+    trace = rollout(problem, handmade("nearest", problem, 6.0), episode, TRUE, jax.random.key(0))
+    trace = jax.tree.map(np.asarray, trace)
+    made = film(problem, trace, np.asarray(state), 3, 2, "a")
+    np.testing.assert_allclose(made.truth, state[..., :3])
+    np.testing.assert_allclose(made.covariance[2, 1], np.linalg.inv(trace.information[2, 1])[:3, :3])
+    animation.animate(made, tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == (900, 500)
+
+
+def test_gif_has_its_frames_and_colours(tmp_path):
+    animation.animate(made_up(3, 2), tmp_path / "a.gif", size=(600, 400))
+    colors = set()
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert picture.size == (600, 400)
+        assert picture.n_frames == 10
+        for i in range(picture.n_frames):
+            picture.seek(i)
+            colors |= {color for _, color in picture.convert("RGB").getcolors(1 << 24)}
+    for name in (drawing.SEEN, drawing.UNSEEN, drawing.AGENT):
+        wanted = np.array([int(name[i : i + 2], 16) for i in (1, 3, 5)])
+        assert min(np.abs(np.array(color) - wanted).max() for color in colors) < 8
+
+
+def test_figures_of_space_beside_one_of_the_plane(tmp_path):
+    from test_figures import made_up as planar
+
+    figures.trajectory_figure([made_up(), planar()], tmp_path / "a.png")
+    figures.replay_figure({"one": made_up(), "two": made_up(seed=1)}, tmp_path / "b.png")
+    for name in "ab":
+        with Image.open(tmp_path / f"{name}.png") as picture:
+            assert picture.width == 1350
+
+
+def test_an_empty_scene_and_a_vague_belief(tmp_path):
+    empty = made_up(2, 0)
+    figures.trajectory_figure([empty], tmp_path / "a.png")
+    figures.replay_figure({"still": empty}, tmp_path / "b.png")
+    animation.animate(empty, tmp_path / "c.png")
+    vague = made_up(2, 2)
+    animation.animate(dataclasses.replace(vague, covariance=1e6 * vague.covariance), tmp_path / "d.png")
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_wrong_endings_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"ends in .gif, .mp4 or .png"):
+        animation.animate(made_up(), tmp_path / "a.avi")
+    with pytest.raises(ValueError, match=r"ends in .png, .pdf, .svg"):
+        figures.trajectory_figure([made_up()], tmp_path / "a.bmp")
+
+
+@pytest.mark.parametrize(("steps", "count"), [(24, 73), (33, 100), (40, 81), (99, 100), (300, 76)])
+def test_frames_of_space_are_fewer(steps, count):
+    assert len(animation.frame_moments(steps, SpatialStage.max_frames)) == count
