@@ -14,7 +14,7 @@ FLOORS = [
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     [
         *("problem", "agent_settings", "view_settings", "target_settings", "scenario"),
-        *("scenes", "rollout", "episodes", "environment"),
+        *("scenes", "rollout", "episodes", "lifting", "environment"),
     ],
     ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
     ["settings", "checkpoint", "evaluation", "poses", "film", "recorded", "motion_fit", "fit", "replay"],
