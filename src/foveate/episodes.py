@@ -17,10 +17,10 @@ from foveate.scenario import SceneSettings
 from foveate.scenes import Scene
 from foveate.types import Count, Key, Pose
 
-TABLE1_SEED = 2023
-"""Seed of the built-in suite `table1`: the year of the paper."""
+SUITE_SEED = 2023
+"""Seed of the built-in suites: the year of the paper."""
 TABLE1_TARGETS = (3, 5, 7)
-TABLE1_SCENES_PER_CELL = 30
+SUITE_SCENES_PER_CELL = 30
 
 
 class Drawn(eqx.Module):
@@ -268,14 +268,24 @@ def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, co
     ]
 
 
-def table1(problem: Problem) -> list[Scene]:
-    """The built-in suite: the paper's test distribution, 30 scenes in each of its six cells, always the same 180."""
-    settings = SceneSettings()
+def table1(problem: Problem, seed: int = SUITE_SEED) -> list[Scene]:
+    """The paper's test distribution, 30 scenes in each of its six cells; `table1` proper has the default seed."""
     cells = [(targets, biased) for biased in (False, True) for targets in TABLE1_TARGETS]
+    return _cells(SceneSettings(), problem, seed, cells)
+
+
+def own_suite(settings: SceneSettings, problem: Problem, seed: int = SUITE_SEED) -> list[Scene]:
+    """30 test scenes of a scenario's own for each of the fewest, the middle and the most targets it is made for."""
+    fewest, most = settings.targets_min, settings.targets_max
+    counts = sorted({fewest, (fewest + most) // 2, most})
+    return _cells(settings, problem, seed, [(targets, any(settings.drift_m_s)) for targets in counts])
+
+
+def _cells(settings: SceneSettings, problem: Problem, seed: int, cells: list[tuple[int, bool]]) -> list[Scene]:
     return [
         scene
         for targets, biased in cells
-        for scene in suite(settings, problem, TABLE1_SEED, targets, TABLE1_SCENES_PER_CELL, biased)
+        for scene in suite(settings, problem, seed, targets, SUITE_SCENES_PER_CELL, biased)
     ]
 
 

@@ -3,10 +3,13 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from foveate.agent_settings import Quadrotor
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.policies.attention import AttentionSettings
 from foveate.rollout import Protocol
-from foveate.scenario import Scenario
+from foveate.scenario import Scenario, SceneSettings
+from foveate.target_settings import VelocityTarget
+from foveate.view_settings import FrustumView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +62,43 @@ class Experiment:
     training: TrainingSettings = field(default_factory=TrainingSettings)
 
 
+QUADROTOR = Scenario(
+    tau_s=0.5,
+    agent=Quadrotor(kind="quadrotor"),
+    view=FrustumView(shape="frustum"),
+    target=VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.02, initial_velocity_variance_m2_s2=0.16),
+    scenes=SceneSettings(
+        centre_m=(0.0, 0.0, 3.0),
+        half_side_m=(8.0, 8.0, 1.5),
+        half_side_per_target_m=0.0,
+        agent_spread=1.0,
+        agent_test_half_side_m=1.5,
+        drift_m_s=(0.7, 0.7, 0.1),
+        shared_drift=False,
+        steps=30,
+        initial_error="consistent",
+    ),
+)
+"""A flying camera over 3 to 8 targets that cross a hall of 16 x 16 x 3 m in all directions, for 15 s."""
+
 PRESETS = {
     "paper": Experiment(),
     "best": Experiment(
         training=TrainingSettings(epochs=2000, episodes=128, learning_rate=5e-4, schedule="cosine", check_every=50),
+    ),
+    "quadrotor": Experiment(
+        scenario=QUADROTOR,
+        policy=AttentionSettings(
+            agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), length_m=QUADROTOR.view.depth_m
+        ),
+        training=TrainingSettings(
+            epochs=1500,
+            episodes=64,
+            learning_rate=1e-3,
+            schedule="cosine",
+            softness=((1.0, 1.2), (0.3, 0.45)),
+            objective="mean",
+            select="true",
+        ),
     ),
 }

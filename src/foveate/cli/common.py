@@ -63,10 +63,10 @@ def policy_of(run: str, method: str, experiment: "Experiment", box_world: Any = 
     return load_run(Path(run))[1]
 
 
-def check_seed(seed: int) -> None:
+def check_seed(seed: int, name: str = "--seed") -> None:
     """Raise ValueError for a seed that is no seed."""
     if not 0 <= seed < 2**32:
-        raise ValueError(f"--seed {seed}: expected a whole number from 0 to {2**32 - 1}")
+        raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
 def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -> None:

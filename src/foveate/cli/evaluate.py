@@ -17,8 +17,12 @@ class Evaluate:
 
     run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
     """Run folder of `foveate train`; with hand-made methods a preset's name will do."""
-    scenes: Annotated[str, tyro.conf.arg(metavar="FILE|table1")] = "table1"
-    """Scenes file, or the built-in suite: the paper's six cells, 30 scenes each."""
+    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    """Scenes file; or table1, the paper's six cells of 30 scenes; or own, 30 scenes for each of three numbers of
+    targets from the scenario's own distribution, none of which trained it (default: table1 in the plane, own in
+    space)."""
+    scene_seed: int = 2023
+    """Seed of the scenes of table1 or own; table1 proper is the default."""
     protocol: Literal["surrogate", "true", "both"] = "both"
     """How information is counted."""
     method: tuple[str, ...] = ("policy",)
@@ -44,25 +48,20 @@ class Evaluate:
             print_table,
         )
         from foveate.configuration import digest
-        from foveate.episodes import table1
         from foveate.evaluation import evaluate, prepare, result, summarise
         from foveate.files import write_json
-        from foveate.scenes import read_scenes, write_scenes
+        from foveate.scenes import write_scenes
 
         methods = check_methods(self.method)
         for path in (self.json, self.write_scenes):
-            check_output(path, self.scenes)
+            check_output(path, *([self.scenes] if self.scenes else []))
         if self.episodes < 1:
             raise ValueError(f"--episodes {self.episodes}: expected >= 1")
         check_seed(self.seed)
+        check_seed(self.scene_seed, "--scene-seed")
         experiment = experiment_of(self.run)
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
-        if self.scenes == "table1":
-            if experiment.scenario.dimension != 2:
-                raise ValueError("--scenes table1: the paper's suite is planar; give a scenes file")
-            scenes = table1(problem)
-        else:
-            scenes = read_scenes(Path(self.scenes), problem.agent.space, settings)
+        chosen, scenes = self._scenes(experiment)
         policies = {name: policy_of(self.run, name, experiment) for name in methods}
         suite = prepare(problem, settings, scenes, self.seed, self.episodes)
         protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
@@ -73,7 +72,7 @@ class Evaluate:
                 rows += evaluate(suite, name, policy, protocols)
         summary = summarise(rows, problem.motion.state_size)
         print_table(
-            f"{self.run} on {self.scenes}: score per target [nat], {self.episodes} episode(s) a scene",
+            f"{self.run} on {chosen}: score per target [nat], {self.episodes} episode(s) a scene",
             (
                 "method",
                 "protocol",
@@ -103,8 +102,24 @@ class Evaluate:
             ],
         )
         if self.json is not None:
-            facts = {"run": self.run, "scenes": self.scenes, "experiment": digest(experiment)}
+            facts = {"run": self.run, "scenes": chosen, "experiment": digest(experiment)}
             write_json(self.json, result(rows, summary, facts))
         if self.write_scenes is not None:
             write_scenes(self.write_scenes, scenes)
         return 0
+
+    def _scenes(self, experiment):
+        """The name of the scenes, and the scenes."""
+        from foveate.episodes import own_suite, table1
+        from foveate.scenes import read_scenes
+
+        problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+        planar = experiment.scenario.dimension == 2
+        chosen = self.scenes or ("table1" if planar else "own")
+        if chosen == "own":
+            return chosen, own_suite(settings, problem, self.scene_seed)
+        if chosen != "table1":
+            return chosen, read_scenes(Path(chosen), problem.agent.space, settings)
+        if not planar:
+            raise ValueError("--scenes table1: the paper's suite is planar: give a scenes file, or own")
+        return chosen, table1(problem, self.scene_seed)

@@ -15,8 +15,9 @@ class Train:
     --resume needs to go on. The same seed gives the same checkpoint, bit for bit, on the same machine.
     """
 
-    preset: Literal["paper", "best"] = "paper"
-    """paper: the paper's budget (about 20 s on 2 cores). best: higher scores, up to 10 minutes."""
+    preset: Literal["paper", "best", "quadrotor"] = "paper"
+    """paper: the paper's budget (about 20 s on 2 cores). best: higher scores, up to 10 minutes. quadrotor: a flying
+    camera over constant-velocity targets in space, some minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
     epochs: int | None = None

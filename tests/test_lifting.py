@@ -1,0 +1,83 @@
+"""The planar fast path and the general one: the same numbers, to rounding."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from foveate.geometry.space import SPACES
+from foveate.learning.policy_gradient import training_episode
+from foveate.lifting import Lifted, lifted_episode, lifted_pose, lifted_problem
+from foveate.models.sensor import Softness
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.handmade import Lawnmower
+from foveate.rollout import SURROGATE, TRUE, Protocol, log_dets, rollout
+from foveate.scenario import Scenario, SceneSettings, ScheduleSettings, SensorSettings
+from foveate.target_settings import VelocityTarget
+from foveate.view_settings import SectorView
+
+SMALL = AttentionSettings(agent_widths=(8, 6), target_widths=(8, 6), out_widths=(8,))
+FEW = {"targets_min": 2, "targets_max": 3, "half_side_per_target_m": 0.6}
+WORLDS = {
+    "the paper": Scenario(scenes=SceneSettings(**FEW)),
+    "velocities in a sector, steps of two lengths": Scenario(
+        view=SectorView(depth_m=4.0, angle_deg=100.0),
+        sensor=SensorSettings(V=((0.04, 0.01), (0.01, 0.09)), range_growth_per_m=0.1),
+        target=VelocityTarget(kind="constant_velocity"),
+        scenes=SceneSettings(**FEW),
+        schedule=ScheduleSettings(tau_s=(1.0, 0.5)),
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "frame"), zip(WORLDS, ["world", "body"], strict=True))
+def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
+    scenario = WORLDS[name]
+    problem = scenario.problem()
+    spatial = lifted_problem(problem)
+    policy = AttentionSettings(**{**vars(SMALL), "frame": frame}).policy(problem, jax.random.key(2))
+    episode = training_episode(problem, scenario.scenes, jax.random.key(5), noise=True)
+    planar_trace = eqx.filter_jit(rollout)(problem, policy, episode, TRUE, jax.random.key(0))
+    trace = eqx.filter_jit(rollout)(spatial, Lifted(policy), lifted_episode(episode), TRUE, jax.random.key(0))
+    assert planar_trace.visible.any()
+    np.testing.assert_allclose(trace.pose, jax.vmap(lifted_pose)(planar_trace.pose), rtol=1e-10, atol=1e-10)
+    for field in ("action", "mean", "information", "log_det", "visible"):
+        np.testing.assert_allclose(getattr(trace, field), getattr(planar_trace, field), rtol=1e-10, atol=1e-10)
+
+    levels = Protocol(levels=(Softness(2.0, 0.4), Softness(0.3, 0.25)))
+
+    def gradient(problem, policy, episode):
+        @eqx.filter_value_and_grad
+        def objective(policy):
+            return jnp.sum(log_dets(problem, policy, episode, levels, jax.random.key(0))[-1])
+
+        value, slope = objective(policy)
+        return value, ravel_pytree(eqx.filter(slope, eqx.is_inexact_array))[0]
+
+    value, slope = eqx.filter_jit(gradient)(problem, policy, episode)
+    spatial_value, spatial_slope = eqx.filter_jit(gradient)(spatial, Lifted(policy), lifted_episode(episode))
+    np.testing.assert_allclose(spatial_value, value, rtol=1e-10)
+    assert np.linalg.norm(slope) > 1e-3
+    np.testing.assert_allclose(spatial_slope, slope, rtol=0, atol=1e-10 * np.linalg.norm(slope))
+
+
+def test_a_policy_with_memory_is_lifted_too():
+    problem = Scenario().problem()
+    mower = Lawnmower(problem, 0.0)
+    episode = training_episode(problem, SceneSettings(), jax.random.key(1), noise=False)
+    planar = eqx.filter_jit(rollout)(problem, mower, episode, SURROGATE, jax.random.key(0))
+    lifted = eqx.filter_jit(rollout)(
+        lifted_problem(problem), Lifted(mower), lifted_episode(episode), SURROGATE, jax.random.key(0)
+    )
+    np.testing.assert_allclose(lifted.action, planar.action, rtol=1e-9, atol=1e-9)
+
+
+def test_what_cannot_be_lifted():
+    problem = Scenario(sensor=SensorSettings(frame="body")).problem()
+    with pytest.raises(ValueError, match="'body'"):
+        lifted_problem(problem)
+    with pytest.raises(ValueError, match="in space already"):
+        lifted_problem(lifted_problem(Scenario().problem()))
+    assert lifted_problem(Scenario().problem()).agent.space is SPACES["spatial"]
