@@ -1,6 +1,6 @@
 """Everything that defines a run, as it stands in `config.toml`: the world, the policy and how it is trained."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from foveate.agent_settings import Quadrotor
@@ -62,6 +62,9 @@ class Experiment:
     training: TrainingSettings = field(default_factory=TrainingSettings)
 
 
+DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64))
+"""The paper's architecture, one layer deeper and twice as wide: what the 27 numbers of a target in space ask for."""
+
 QUADROTOR = Scenario(
     tau_s=0.5,
     agent=Quadrotor(kind="quadrotor"),
@@ -88,9 +91,7 @@ PRESETS = {
     ),
     "quadrotor": Experiment(
         scenario=QUADROTOR,
-        policy=AttentionSettings(
-            agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), length_m=QUADROTOR.view.depth_m
-        ),
+        policy=replace(DEEPER, length_m=QUADROTOR.view.depth_m),
         training=TrainingSettings(
             epochs=1500,
             episodes=64,

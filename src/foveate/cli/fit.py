@@ -12,7 +12,7 @@ class Fit:
     """Derive a scenario from a recording of real targets, ready for `foveate train --config`.
 
     Taken from the recording: targets at once, where they are, how fast, how far a step carries them. Yours: the agent
-    and its sensor. Fit on the first part of a recording (--end) and replay on the rest (--start) to judge honestly.
+    and its sensor, in the plane a driving robot with a sector of view, in space (z_m) a quadrotor with a camera. Fit on the first part of a recording (--end) and replay on the rest (--start) to judge honestly.
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING.csv")]
@@ -46,7 +46,7 @@ class Fit:
         from foveate.cli.common import check_output
         from foveate.configuration import dumps_toml
         from foveate.files import write_atomic
-        from foveate.fit import fit_experiment
+        from foveate.fit import Robot, fit_experiment
         from foveate.motion_fit import fit_statistics
         from foveate.recorded import load_recording, window
 
@@ -57,15 +57,14 @@ class Fit:
         if self.tau <= 0:
             raise ValueError(f"--tau {self.tau}: expected > 0")
         found = fit_statistics(recording, self.tau, self.max_gap)
-        experiment = fit_experiment(
-            found,
+        robot = Robot(
             v_max=self.v_max,
             w_max=self.w_max,
             depth_m=self.view_depth,
             angle_deg=self.view_angle_deg,
             std_m=self.sensor_std_m,
-            goal=self.goal,
         )
+        experiment = fit_experiment(found, robot, self.goal)
         said = found.lines()
         print("\n".join(said))
         header = "\n".join([f"Fitted to {self.recording.name} by foveate fit.", *said])
