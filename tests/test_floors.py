@@ -10,7 +10,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 FLOORS = [
     ["types", "linalg", "files", "configuration", "arrays", "published"],
-    ["geometry.lie", "geometry.space", "geometry.fov", "geometry.fov_spatial"],
+    ["geometry.lie", "geometry.space", "geometry.safe", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     ["problem", "scenario", "scenes", "rollout", "episodes", "environment"],
     ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
