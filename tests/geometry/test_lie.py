@@ -137,15 +137,21 @@ def assert_inverts(jacobian, changes, tolerance):
 
 @PRECISIONS
 def test_log_inverts_expm_in_value_and_derivative(dtype, tolerance):
-    transforms = jnp.asarray(expm(hat(SE3, TWISTS)), dtype)
-    actual, jacobians = with_jacobians(lie.log_se3, transforms)
-    assert_near(expm(hat(SE3, np.asarray(actual, np.float64))), transforms, 20 * tolerance)
-    # Rounding to float32 can carry a rotation within 1e-6 of pi across it, to the other logarithm.
-    near_pi = np.linalg.norm(TWISTS[:, 3:], axis=1) > np.pi - (2e-6 if dtype == np.float32 else 0.0)
-    assert near_pi.sum() == (10 if dtype == np.float32 else 0)
-    # Rounded so, the angle is uncertain by a rounding error of the matrix.
-    assert_near(actual[~near_pi], TWISTS[~near_pi], 20 * tolerance)
-    changes = derivative(SE3, np.asarray(actual, np.float64))
+    """Also of rotations with rounding errors, about any axis up to pi, where it may be the other logarithm."""
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(200, 3))
+    half_turns = axes / np.linalg.norm(axes, axis=1, keepdims=True) * rng.choice([*NEAR_PI, np.pi], (200, 1))
+    twists = np.concatenate([TWISTS, np.concatenate([rng.normal(size=(200, 3)), half_turns], axis=1)])
+    transforms = expm(hat(SE3, twists))
+    transforms[len(TWISTS) :, :3, :3] += np.finfo(dtype).eps * rng.uniform(-1, 1, (200, 3, 3))
+    actual, jacobians = with_jacobians(lie.log_se3, jnp.asarray(transforms, dtype))
+    exact = np.asarray(actual, np.float64)
+    assert np.linalg.norm(exact[:, 3:], axis=1).max() <= np.pi + tolerance
+    assert_near(expm(hat(SE3, exact)), transforms, 20 * tolerance)
+    same = np.linalg.norm(twists[:, 3:], axis=1) < np.pi - 20 * tolerance
+    assert same.sum() > len(TWISTS) - 11 + 50
+    assert_near(exact[same], twists[same], 20 * tolerance)
+    changes = derivative(SE3, exact)
     for jacobian in jacobians:
         assert_inverts(jacobian, changes, 50 * tolerance if dtype == np.float64 else 5 * tolerance)
 
@@ -162,7 +168,7 @@ def test_log_of_a_small_turn_keeps_its_digits(dtype, tolerance):
 @settings(max_examples=40, deadline=None)
 @given(arrays(np.float64, 6, elements=st.floats(-1.7, 1.7)))
 def test_log_se3_is_logm(twist):
-    transform = expm(hat(SE3, twist))
+    transform = expm(hat(SE3, twist.round(12)))  # scipy's logm divides by entries too small to be divided by
     np.testing.assert_allclose(hat(SE3, np.asarray(log_se3(transform))), logm(transform), atol=1e-10)
 
 
@@ -178,21 +184,6 @@ def test_log_so3_near_pi(direction, gap):
     assert np.linalg.norm(actual) <= np.pi + 1e-15
     if gap > 1e-12:
         np.testing.assert_allclose(actual, w, atol=1e-13)
-
-
-@PRECISIONS
-def test_log_of_rounded_rotations_about_any_axis_up_to_pi(dtype, tolerance):
-    """A rotation rounded across pi has the other logarithm; of every one exp is the rotation, and it is smooth."""
-    rng = np.random.default_rng(0)
-    axes = rng.normal(size=(400, 3))
-    w = axes / np.linalg.norm(axes, axis=1, keepdims=True) * rng.choice([*NEAR_PI, np.pi], (400, 1))
-    rounded = expm(hat(SO3, w)) + np.finfo(dtype).eps * rng.uniform(-1, 1, (400, 3, 3))
-    actual, jacobians = with_jacobians(lie.log_so3, jnp.asarray(rounded, dtype))
-    exact = np.asarray(actual, np.float64)
-    assert_near(expm(hat(SO3, exact)), rounded, 10 * tolerance)
-    assert np.linalg.norm(exact, axis=1).max() <= np.pi + tolerance
-    for jacobian in jacobians:
-        assert_inverts(jacobian, derivative(SO3, exact), 10 * tolerance)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -236,7 +227,7 @@ def test_log_se2(dtype, tolerance):
 @settings(max_examples=40, deadline=None)
 @given(arrays(np.float64, 2, elements=st.floats(-50, 50)), st.floats(-3.1, 3.1), st.integers(-4, 4))
 def test_log_se2_of_any_yaw_is_logm(position, yaw, turns):
-    pose = np.array([*position, yaw + 2 * np.pi * turns])
+    pose = np.array([*position.round(12), yaw + 2 * np.pi * turns])
     actual = log_se2(pose)
     np.testing.assert_allclose(actual[2], yaw, atol=1e-13)
     np.testing.assert_allclose(hat(SE2, np.asarray(actual)), logm(matrix_2d(pose)), atol=1e-9)

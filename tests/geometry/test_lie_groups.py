@@ -38,14 +38,20 @@ def test_hat_and_vee(group, dtype):
     n = len(generators)
     twists = np.arange(1, 4 * n + 1, dtype=dtype).reshape(2, 2, n)
     forth, back = getattr(lie, f"hat_{group}"), getattr(lie, f"vee_{group}")
-    matrices = jit(forth)(twists)
+
+    @jit
+    def together(twists):
+        matrices = forth(twists)
+        modes = [[mode(forth)(twists[0, 0]), mode(back)(matrices[0, 0])] for mode in (jax.jacfwd, jax.jacrev)]
+        return matrices, back(matrices), modes
+
+    matrices, returned, modes = together(twists)
     assert matrices.dtype == dtype
     np.testing.assert_array_equal(matrices, hat(generators, twists))
-    np.testing.assert_array_equal(jit(back)(matrices), twists)
-    for jacobian in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_array_equal(jit(jacobian(forth))(twists[0, 0]), np.moveaxis(generators, 0, -1))
-        by_matrix = jit(jacobian(back))(matrices[0, 0])
-        np.testing.assert_array_equal(np.einsum("iab,jab->ij", by_matrix, generators), np.eye(n))
+    np.testing.assert_array_equal(returned, twists)
+    for of_hat, of_vee in modes:
+        np.testing.assert_array_equal(of_hat, np.moveaxis(generators, 0, -1))
+        np.testing.assert_array_equal(np.einsum("iab,jab->ij", of_vee, generators), np.eye(n))
 
 
 def element(group, matrix, yaw):
