@@ -10,7 +10,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 FLOORS = [
     ["types", "linalg", "checks", "files", "configuration", "arrays", "published"],
-    ["geometry.lie", "geometry.space", "geometry.fov", "geometry.fov_spatial"],
+    ["geometry.lie", "geometry.space", "geometry.safe", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     [
         *("problem", "agent_settings", "view_settings", "target_settings", "scenario"),

@@ -39,6 +39,10 @@ def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
     spatial = lifted_problem(problem)
     policy = AttentionSettings(**{**vars(SMALL), "frame": frame}).policy(problem, jax.random.key(2))
     episode = training_episode(problem, scenario.scenes, jax.random.key(5), noise=True)
+    # Three metres before a target, which a fresh policy, at about half speed straight ahead, then sees.
+    episode = eqx.tree_at(
+        lambda e: e.pose, episode, jnp.append(episode.truth.state[0, 0, :2] - jnp.array([3.0, 0.0]), 0.0)
+    )
     planar_trace = eqx.filter_jit(rollout)(problem, policy, episode, TRUE, jax.random.key(0))
     trace = eqx.filter_jit(rollout)(spatial, Lifted(policy), lifted_episode(episode), TRUE, jax.random.key(0))
     assert planar_trace.visible.any()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from foveate.problem import Policy
+    from foveate.scenes import Scene
     from foveate.settings import Experiment
 
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
@@ -61,6 +62,23 @@ def policy_of(run: str, method: str, experiment: "Experiment", box_world: Any = 
             f"preset {run} has no trained policy here: train it (foveate train --preset {run}), or name a --method"
         )
     return load_run(Path(run))[1]
+
+
+def scenes_of(name: str | None, seed: int, experiment: "Experiment") -> tuple[str, list["Scene"]]:
+    """The scenes that a name means, and the name: a file, table1, or own; None is table1 in the plane, own in space."""
+    from foveate.episodes import own_suite, table1
+    from foveate.scenes import read_scenes
+
+    problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+    planar = experiment.scenario.dimension == 2
+    chosen = name or ("table1" if planar else "own")
+    if chosen == "own":
+        return chosen, own_suite(settings, problem, seed)
+    if chosen != "table1":
+        return chosen, read_scenes(Path(chosen), problem.agent.space, settings)
+    if not planar:
+        raise ValueError("--scenes table1: the paper's suite is planar: give a scenes file, or own")
+    return chosen, table1(problem, seed)
 
 
 def check_seed(seed: int, name: str = "--seed") -> None:

@@ -46,6 +46,7 @@ class Evaluate:
             experiment_of,
             policy_of,
             print_table,
+            scenes_of,
         )
         from foveate.configuration import digest
         from foveate.evaluation import evaluate, prepare, result, summarise
@@ -61,7 +62,7 @@ class Evaluate:
         check_seed(self.scene_seed, "--scene-seed")
         experiment = experiment_of(self.run)
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
-        chosen, scenes = self._scenes(experiment)
+        chosen, scenes = scenes_of(self.scenes, self.scene_seed, experiment)
         policies = {name: policy_of(self.run, name, experiment) for name in methods}
         suite = prepare(problem, settings, scenes, self.seed, self.episodes)
         protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
@@ -107,19 +108,3 @@ class Evaluate:
         if self.write_scenes is not None:
             write_scenes(self.write_scenes, scenes)
         return 0
-
-    def _scenes(self, experiment):
-        """The name of the scenes, and the scenes."""
-        from foveate.episodes import own_suite, table1
-        from foveate.scenes import read_scenes
-
-        problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
-        planar = experiment.scenario.dimension == 2
-        chosen = self.scenes or ("table1" if planar else "own")
-        if chosen == "own":
-            return chosen, own_suite(settings, problem, self.scene_seed)
-        if chosen != "table1":
-            return chosen, read_scenes(Path(chosen), problem.agent.space, settings)
-        if not planar:
-            raise ValueError("--scenes table1: the paper's suite is planar: give a scenes file, or own")
-        return chosen, table1(problem, self.scene_seed)

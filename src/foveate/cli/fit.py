@@ -12,7 +12,8 @@ class Fit:
     """Derive a scenario from a recording of real targets, ready for `foveate train --config`.
 
     Taken from the recording: targets at once, where they are, how fast, how far a step carries them. Yours: the agent
-    and its sensor, in the plane a driving robot with a sector of view, in space (z_m) a quadrotor with a camera. Fit on the first part of a recording (--end) and replay on the rest (--start) to judge honestly.
+    and its sensor, in the plane a driving robot with a sector of view, in space (z_m) a quadrotor with a camera. Fit
+    on the first part of a recording (--end) and replay on the rest (--start) to judge honestly.
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING.csv")]

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from foveate.geometry.safe import clipped, larger, length
 from foveate.types import Point, Scalar
 
 Number = float | int
@@ -59,40 +60,24 @@ def require(ok: bool | np.bool, name: str, value: object, right: str) -> None:
         raise ValueError(f"{name} must be {right}, got {value!r}")
 
 
-def safe_sqrt(square: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Square root that is 0, and so is its derivative, below the machine precision eps [m].
-
-    Coordinates of some metres are rounded by as much: what XLA recomputes for the derivative may differ.
-    """
-    positive = square > jnp.finfo(square.dtype).eps ** 2
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
-
-
-def larger(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
-    """max(a, b) with the derivative of one of them.
-
-    That of jnp.maximum tests a and b for equality with the result; XLA may have rounded it differently, and then
-    the weights do not sum to 1 (min, max and clip alike).
-    """
-    return jnp.where(a > b, a, b)
-
-
-def clipped(value: Float[Array, "..."], low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
-    """jnp.clip, differentiated as `larger`."""
-    return jnp.where(value < low, low, jnp.where(value > high, high, value))
-
-
 def height_and_overshoot(
     point: Float[Array, "... 2"],
     start: Float[Array, "... 2"],
+    end: Float[Array, "... 2"],
     tangent: Float[Array, "... 2"],
-    length: Float[Array, "..."],
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Height of a point to the right of a segment's line, and how far its foot lies beyond the ends, else 0 [m]."""
-    x, y = point[..., 0] - start[..., 0], point[..., 1] - start[..., 1]
+    """Height of a point to the right of a segment's line, and how far its foot lies beyond the ends, else 0 [m].
+
+    Both are measured from the nearer end: near a sharp corner, the sides of which are hard to tell apart, they
+    are exact to a rounding error of their own size, not of the segment's.
+    """
     t_x, t_y = tangent[..., 0], tangent[..., 1]
-    along = t_x * x + t_y * y
-    return t_y * x - t_x * y, jnp.where(along < 0, along, jnp.where(along > length, along - length, 0.0))
+    from_start, from_end = point - start, point - end
+    along = t_x * from_start[..., 0] + t_y * from_start[..., 1]
+    past = t_x * from_end[..., 0] + t_y * from_end[..., 1]
+    nearer = jnp.where((along + past > 0)[..., None], from_end, from_start)
+    height = t_y * nearer[..., 0] - t_x * nearer[..., 1]
+    return height, jnp.where(along < 0, along, jnp.where(past > 0, past, 0.0))
 
 
 def arc(start: float, stop: float, count: int = 65) -> np.ndarray:
@@ -123,20 +108,21 @@ class ConvexPolygon(FieldOfView):
         """Distance to the nearest edge, negative where the point is left of all edges [m].
 
         d = +-sqrt(h^2 + e^2), h the height over the nearest edge's line, e how far the foot of the point lies
-        beyond the edge's ends. Which edge is nearest has no derivative: only that edge is differentiated.
+        beyond the edge's ends. Which edge is nearest has no derivative: only that edge is differentiated. Beside a
+        sharp corner both of its sides may be nearest, up to rounding: the one that the point is right of counts.
         """
-        edges = jnp.roll(self.vertices, -1, axis=0) - self.vertices
-        lengths = jnp.sqrt(jnp.sum(edges**2, axis=-1))
-        tangents = edges / lengths[:, None]
+        ends = jnp.roll(self.vertices, -1, axis=0)
+        edges = ends - self.vertices
+        tangents = edges / jnp.sqrt(jnp.sum(edges**2, axis=-1, keepdims=True))
         still = jax.lax.stop_gradient(point_body)[..., None, :]
-        heights, beyond = height_and_overshoot(still, self.vertices, tangents, lengths)
-        nearest = jnp.argmin(heights**2 + beyond**2, axis=-1)
+        heights, beyond = height_and_overshoot(still, self.vertices, ends, tangents)
+        square = heights**2 + beyond**2
+        tied = square <= (1 + 16 * jnp.finfo(square.dtype).eps) * jnp.min(square, axis=-1, keepdims=True)
+        nearest = jnp.argmax(jnp.where(tied, heights, -jnp.inf), axis=-1)
         inside = jnp.all(heights <= 0, axis=-1)
 
-        height, overshoot = height_and_overshoot(
-            point_body, self.vertices[nearest], tangents[nearest], lengths[nearest]
-        )
-        corner = safe_sqrt(height**2 + overshoot**2)
+        height, overshoot = height_and_overshoot(point_body, self.vertices[nearest], ends[nearest], tangents[nearest])
+        corner = length(height, overshoot)
         return jnp.where(overshoot == 0, height, jnp.where(inside, -corner, corner))
 
     def outline(self, reach: float = 10.0) -> np.ndarray:
@@ -197,10 +183,10 @@ def annular_sector_distance(
     u_x, u_y = jnp.cos(half_angle), jnp.sin(half_angle)
     height, along = u_x * aside - u_y * ahead, u_x * ahead + u_y * aside
     beyond = along - clipped(along, near, far)
-    corner = safe_sqrt(height**2 + beyond**2)
+    corner = length(height, beyond)
     side = jnp.where(beyond == 0, height, jnp.where(height > 0, corner, -corner))
     side = jnp.where(full, -jnp.inf, side)
-    radius = safe_sqrt(ahead**2 + aside**2)
+    radius = length(ahead, aside)
     radial = larger(radius - far, jnp.where(near > 0, near - radius, -jnp.inf))
     return jnp.where(side > 0, side, larger(radial, side))
 
@@ -298,10 +284,10 @@ class Ball(FieldOfView):
 
     @property
     def depth(self) -> Scalar:
-        return safe_sqrt(jnp.sum(self.center**2)) + self.radius
+        return length(*self.center) + self.radius
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
-        return safe_sqrt(jnp.sum((point_body - self.center) ** 2, axis=-1)) - self.radius
+        return length(*jnp.moveaxis(point_body - self.center, -1, 0)) - self.radius
 
     def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
         """The circle, or three great circles."""

@@ -14,12 +14,10 @@ from foveate.geometry.fov import (
     annular_sector_distance,
     annular_sector_outline,
     arc,
-    clipped,
     closed,
-    larger,
     require,
-    safe_sqrt,
 )
+from foveate.geometry.safe import larger, length
 from foveate.types import Scalar
 
 
@@ -40,7 +38,7 @@ class Cone(FieldOfView):
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """That of the annular sector in the half-plane (x, rho) through the point: a solid of revolution."""
-        rho = safe_sqrt(point_body[..., 1] ** 2 + point_body[..., 2] ** 2)
+        rho = length(point_body[..., 1], point_body[..., 2])
         return annular_sector_distance(point_body[..., 0], rho, self.near, self.far, self.angle / 2)
 
     def outline(self, reach: float = 10.0) -> list[np.ndarray]:
@@ -84,36 +82,32 @@ class Frustum(FieldOfView):
         return self.far * jnp.sqrt(1 + wide**2 + high**2)
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
-        """Inside the largest height over a face, outside the distance to the nearest point [m].
+        """Inside and before a face the largest height over a face, else the distance to the nearest edge [m].
 
-        Folded to y, z >= 0, the squared distance to the cross-section at x = s is (x - s)^2 + (y - a s)_+^2 +
-        (z - b s)_+^2: convex, C^1 and piecewise quadratic in s, so that its minimum over near <= s <= far is
-        the clipped minimiser of one of four quadratics, by which of the two side planes hold with equality.
-        One expression is differentiated, at that minimiser: candidates that tie cannot mix their derivatives.
+        Folded to y, z >= 0, the nearest point of the wedge between the two sides is found first: the point itself,
+        its foot on a side or on the edge between them. The squared distance to the wedge's cross-section at s is
+        convex in s, so that the frustum's nearest point is at that section, kept within near and far. Which face or
+        edge counts has no derivative; each distance is written in coordinates across it, so that its gradient has
+        norm 1 however near the point is.
         """
         x, y, z = point_body[..., 0], jnp.abs(point_body[..., 1]), jnp.abs(point_body[..., 2])
         half_width, half_height = self.width_angle / 2, self.height_angle / 2
         a, b = jnp.tan(half_width), jnp.tan(half_height)
-        beside = jnp.cos(half_width) * y - jnp.sin(half_width) * x
-        above = jnp.cos(half_height) * z - jnp.sin(half_height) * x
+        cos, sin, sin_up = jnp.cos(half_width), jnp.sin(half_width), jnp.sin(half_height)
+        beside, above = cos * y - sin * x, jnp.cos(half_height) * z - sin_up * x
         height = larger(larger(self.near - x, x - self.far), larger(beside, above))
 
-        def square(s: Float[Array, "..."]) -> Float[Array, "..."]:
-            sides = jnp.where(y > a * s, y - a * s, 0.0) ** 2 + jnp.where(z > b * s, z - b * s, 0.0) ** 2
-            return (x - s) ** 2 + sides
-
-        nearest = x
-        for minimiser in (
-            (x + a * y) / (1 + a**2),
-            (x + b * z) / (1 + b**2),
-            (x + a * y + b * z) / (1 + a**2 + b**2),
-        ):
-            better = square(self._between(minimiser)) < square(self._between(nearest))
-            nearest = jnp.where(better, minimiser, nearest)
-        return jnp.where(height > 0, safe_sqrt(square(self._between(nearest))), height)
-
-    def _between(self, s: Float[Array, "..."]) -> Float[Array, "..."]:
-        return clipped(s, self.near, self.far)
+        overlap = sin * sin_up  # of the two sides' normals
+        by_edge = (beside > overlap * above) & (above > overlap * beside)
+        ahead = jnp.maximum(jnp.where(beside > above, sin * beside, sin_up * above), 0.0)
+        section = jnp.where(by_edge, (x + a * y + b * z) / (1 + a**2 + b**2), x + ahead)
+        at_end = (section < self.near) | (section > self.far)
+        end = jnp.where(section < self.near, self.near, self.far)
+        over_y, over_z = jnp.where(y > a * end, y - a * end, 0.0), jnp.where(z > b * end, z - b * end, 0.0)
+        # A slanted edge runs along (1, a, b); `beside` and `across` are coordinates orthogonal to it and each other.
+        across = (z / cos - b * cos * (x + a * y)) / jnp.sqrt(1 + a**2 + b**2)
+        edge = jnp.where(at_end, length(x - end, over_y, over_z), length(beside, across))
+        return jnp.where(jnp.where(at_end, (over_y > 0) | (over_z > 0), by_edge), edge, height)
 
     def outline(self, reach: float = 10.0) -> list[np.ndarray]:
         """The near and far rectangles and the four slanted edges."""

@@ -55,6 +55,10 @@ def _apply(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b j"]) -> Fl
     return jnp.sum(matrix * vector[..., None, :], axis=-1)
 
 
+def _product(first: Float[Array, "*#b i j"], second: Float[Array, "*#b j k"]) -> Float[Array, "... i k"]:
+    return jnp.sum(first[..., :, :, None] * second[..., None, :, :], axis=-2)
+
+
 def _apply_transposed(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b i"]) -> Float[Array, "... j"]:
     return jnp.sum(matrix * vector[..., :, None], axis=-2)
 
@@ -77,6 +81,11 @@ def hat_se2(twist: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     v_x, v_y, w = twist[..., 0], twist[..., 1], twist[..., 2]
     zero = jnp.zeros_like(w)
     return _matrix([[zero, -w, v_x], [w, zero, v_y], [zero, zero, zero]])
+
+
+def vee_se2(matrix: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
+    """The inverse of `hat_se2`."""
+    return jnp.stack([matrix[..., 0, 2], matrix[..., 1, 2], matrix[..., 1, 0]], axis=-1)
 
 
 def matrix_se2(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
@@ -229,6 +238,21 @@ def log_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
     return 2.0 * scale[..., None] * n
 
 
+def inverse_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
+    """R^-1 = R^T."""
+    return jnp.swapaxes(rotation, -1, -2)
+
+
+def compose_so3(first: Float[Array, "*#b 3 3"], second: Float[Array, "*#b 3 3"]) -> Float[Array, "... 3 3"]:
+    """R_1 R_2."""
+    return _product(first, second)
+
+
+def act_so3(rotation: Float[Array, "*#b 3 3"], point_body: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:
+    """The rotated point R q."""
+    return _apply(rotation, point_body)
+
+
 # --- SE(3) ----------------------------------------------------------------------------------------
 
 
@@ -264,12 +288,12 @@ def log_se3(transform: Float[Array, "*b 4 4"]) -> Float[Array, "*b 6"]:
 def inverse_se3(transform: Float[Array, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
     """T^-1 = [[R^T, -R^T position], [0, 1]]."""
     rotation = transform[..., :3, :3]
-    return _transform(jnp.swapaxes(rotation, -1, -2), -_apply_transposed(rotation, transform[..., :3, 3]))
+    return _transform(inverse_so3(rotation), -_apply_transposed(rotation, transform[..., :3, 3]))
 
 
 def compose_se3(first: Float[Array, "*#b 4 4"], second: Float[Array, "*#b 4 4"]) -> Float[Array, "... 4 4"]:
     """T_1 T_2."""
-    return jnp.sum(first[..., :, :, None] * second[..., None, :, :], axis=-2)
+    return _product(first, second)
 
 
 def act_se3(transform: Float[Array, "*#b 4 4"], point_body: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:

@@ -1,0 +1,58 @@
+"""What training in space costs beside the plane: seconds per episode step, at the same batch, targets and network.
+
+    python experiments/space_cost.py [--rounds 7]
+
+The two are measured in turn within one process, so that a shared machine slows both alike; the ratio of the medians
+is what counts.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.learning.policy_gradient import begin, epochs
+from foveate.policies.attention import AttentionSettings
+from foveate.settings import DEEPER, PRESETS, Experiment, TrainingSettings
+
+EPOCHS = 20
+
+
+def timed(experiment: Experiment):
+    """A function that runs EPOCHS epochs and returns the seconds that one episode step of one of them took."""
+    problem, scenes, training = experiment.scenario.problem(), experiment.scenario.scenes, experiment.training
+    learner = begin(experiment.policy.policy(problem, jax.random.key(0)), training)
+    advance = eqx.filter_jit(lambda count, learner, key: epochs(problem, scenes, training, count, learner, key))
+    steps = scenes.horizon(scenes.targets_max) * training.episodes
+
+    def run() -> float:
+        began = time.perf_counter()
+        jax.block_until_ready(advance(jnp.array(EPOCHS), learner, jax.random.key(1))[1].objective)
+        return (time.perf_counter() - began) / EPOCHS / steps
+
+    run()  # compilation
+    return run
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=7, help="measurements of each, in turn (default 7)")
+    rounds = parser.parse_args().rounds
+    training = TrainingSettings()  # the paper's: 60 episodes, one level, no noise
+    networks = {"the paper's network": AttentionSettings(), "the quadrotor's network": DEEPER}
+    for name, network in networks.items():
+        runs = [timed(replace(PRESETS[preset], policy=network, training=training)) for preset in ("paper", "quadrotor")]
+        planar, spatial = np.median([[run() for run in runs] for _ in range(rounds)], axis=0)
+        print(
+            f"{name}, {training.episodes} episodes of 3 to 8 targets: "
+            f"plane {planar * 1e6:.2f} us, space {spatial * 1e6:.2f} us an episode step: ratio {spatial / planar:.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
