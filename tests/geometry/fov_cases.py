@@ -15,6 +15,8 @@ from foveate.geometry.fov import FieldOfView, ball, half_space, polygon, sector,
 from foveate.geometry.fov_spatial import cone, frustum, intersection, prism
 
 POINTS = 20_000
+EVERY = 5
+"""Where derivatives are checked, one in 5 of them, of every stratum."""
 HEPTAGON = [[2.0 + math.cos(t), 0.5 + 0.4 * math.sin(t)] for t in (0.1, 0.9, 2.0, 2.8, 3.9, 4.4, 5.6)]
 
 
@@ -239,13 +241,28 @@ def cast(shape, dtype):
 
 
 @eqx.filter_jit
-def distance(shape, points):
+def _distance(shape, points):
     return shape.signed_distance(points)
 
 
 @eqx.filter_jit
-def gradients(shape, points):
-    """Signed distances; their derivatives by shape and by point, reverse; by the point, forward."""
+def _gradients(shape, points):
     reverse = jax.value_and_grad(lambda shape, point: shape.signed_distance(point), (0, 1))
     value, (by_shape, by_point) = jax.vmap(reverse, (None, 0))(shape, points)
-    return value, by_shape, by_point, jax.vmap(jax.jacfwd(shape.signed_distance))(points)
+    return value, by_point, jax.vmap(jax.jacfwd(shape.signed_distance))(points), by_shape
+
+
+def padded(points, count):
+    """At least `count` points, so that shapes of a kind are compiled once."""
+    return jnp.asarray(np.resize(points, (max(count, len(points)), points.shape[1])))
+
+
+def distance(shape, points):
+    """The signed distances of points (n, d)."""
+    return np.asarray(_distance(shape, padded(points, POINTS)))[: len(points)]
+
+
+def gradients(shape, points):
+    """Signed distances; derivatives by the point, reverse and forward; by the shape, for points of any number."""
+    *parts, by_shape = _gradients(shape, padded(points, POINTS // EVERY))
+    return *(np.asarray(part)[: len(points)] for part in parts), by_shape

@@ -109,7 +109,7 @@ def search(points, piece, low, high, count):
     step = (high - low) / (count - 1)
     near = np.linspace(low, high, count)[None]
     each = np.arange(len(points))
-    for _ in range(45):
+    for _ in range(40):
         towards = piece(near) - points[:, None]
         square = np.einsum("nki,nki->nk", towards, towards)
         best = np.broadcast_to(near, square.shape)[each, square.argmin(axis=1)]
@@ -127,7 +127,7 @@ def sector_oracle(points, near, far, half):
     arcs = [(lambda t, r=r: at_bearing(r, np.clip(t, -half, half)), -half, half) for r in (near, far) if r > 0]
     sides = [(lambda t, b=b: at_bearing(np.clip(t, near, far), b), near, far) for b in (-half, half)]
     parts = [
-        np.concatenate([search(some, *piece, 41) for some in np.array_split(points, 20)]) for piece in arcs + sides
+        np.concatenate([search(some, *piece, 17) for some in np.array_split(points, 20)]) for piece in arcs + sides
     ]
     radius = np.linalg.norm(points, axis=1)
     inside = (near <= radius) & (radius <= far) & (np.abs(np.arctan2(points[:, 1], points[:, 0])) <= half)

@@ -17,7 +17,7 @@ def test_signed_distance_is_exact(name):
     """To 1e-11 of the size, near and a thousand times as far away; 1e-9 would do."""
     case = CASES[name]
     points, expected = answered(name)
-    found = np.asarray(distance(case.shape, jnp.asarray(points)))
+    found = distance(case.shape, points)
     np.testing.assert_allclose(found, expected.distance, rtol=0, atol=1e-11 * case.size)
     clear = np.abs(expected.distance) > 1e-11 * case.size
     contained = np.asarray(case.shape.contains(jnp.asarray(points)))
@@ -113,7 +113,7 @@ def test_intersection_of_polygons_is_exact_inside_and_a_lower_bound_outside():
     hulls = [ConvexHull(np.asarray(vertices, float)).equations for vertices in (corners, HEPTAGON)]
     points = np.random.default_rng(0).uniform([0, -1], [4, 2], (POINTS, 2))
     exact = halfspace_distance(points, np.concatenate([*hulls, [[1.0, 0.0, -2.2]]]))
-    value = np.asarray(distance(shape, jnp.asarray(points)))
+    value = distance(shape, points)
     inside = exact <= 0
     assert inside.sum() > 1000
     np.testing.assert_allclose(value[inside], exact[inside], rtol=0, atol=1e-9)
@@ -132,7 +132,7 @@ def test_intersection_of_curved_shapes(name):
 
     rng, d = np.random.default_rng(0), INTERSECTIONS[name].dimension
     points = rng.uniform(-1.5, 2, (2000, d)) * (2.0 if d == 3 else 1.0)
-    value, _, gradient, _ = map(np.asarray, gradients(shape, jnp.asarray(points)))
+    value, gradient, _, _ = gradients(shape, points)
     inside = contained(points)
     np.testing.assert_array_equal(value <= 0, inside)
     assert inside.sum() > 100
@@ -158,7 +158,7 @@ def test_float32_keeps_its_precision(name):
     """To a few rounding errors of the size, or of the point where it is far: of the shape as float32 has it."""
     case = CASES[name]
     points, shape = jnp.asarray(answered(name)[0], jnp.float32), cast(case.shape, jnp.float32)
-    single = np.asarray(distance(shape, points))
+    single = distance(shape, points)
     assert single.dtype == np.float32
     exact = distance(cast(shape, jnp.float64), points.astype(jnp.float64))
     scale = np.maximum(case.size, np.linalg.norm(points, axis=1))
