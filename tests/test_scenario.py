@@ -2,16 +2,25 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.agent_settings import DifferentialDrive
+from foveate.agent_settings import DifferentialDrive, FixedWing, FreeBody, Quadrotor
 from foveate.configuration import dumps_toml, load_toml
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario, SceneSettings, SensorSettings
-from foveate.settings import Experiment, TrainingSettings
-from foveate.target_settings import DriftTarget, LinearTarget
-from foveate.view_settings import PolygonView, SectorView, TriangleView
+from foveate.scenario import Scenario, SceneSettings, ScheduleSettings, SensorSettings
+from foveate.settings import PRESETS, Experiment, TrainingSettings
+from foveate.target_settings import AccelerationTarget, DriftTarget, LinearTarget, StaticTarget, VelocityTarget
+from foveate.view_settings import (
+    BallView,
+    ConeView,
+    FrustumView,
+    PolygonView,
+    PrismView,
+    SectorView,
+    TriangleView,
+)
 
 EYE = ((1.0, 0.0), (0.0, 1.0))
 TURNED = ((0.5, 0.5), (0.5, 0.5))
@@ -30,6 +39,7 @@ FOUR = linear(
     Z=((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)),
     prior=((2.0, 0.0, 0.0, 0.1), (0.0, 2.0, 0.0, 0.0), (0.0, 0.0, 1 / 3, 0.0), (0.1, 0.0, 0.0, 0.7)),
 )
+VOLUME = SceneSettings(centre_m=(0.0,) * 3, half_side_m=(1.0,) * 3, drift_m_s=(0.1,) * 3)
 SPARSE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 BAD = {
@@ -64,6 +74,30 @@ BAD = {
     "more measurements than states": (
         lambda: Scenario(sensor=SensorSettings(H=(*EYE, (1.0, 1.0)))).problem(),
         "H",
+    ),
+    "no axis": (lambda: FreeBody(kind="body", axes=(), lower=(), upper=()), "axes = ()"),
+    "unknown axis": (lambda: FreeBody(kind="body", axes=("w",), lower=(-1.0,), upper=(1.0,)), "no axis 'w'"),
+    "axis twice": (
+        lambda: FreeBody(kind="body", axes=("vx", "vx"), lower=(0.0,) * 2, upper=(1.0,) * 2),
+        "each axis once",
+    ),
+    "limits of another number": (lambda: FreeBody(kind="body", axes=("vx",), lower=(), upper=(1.0,)), "lower = ()"),
+    "limits crossed": (lambda: FreeBody(kind="body", axes=("vx",), lower=(1.0,), upper=(0.0,)), "upper = (0.0,)"),
+    "no climb": (lambda: Quadrotor(kind="quadrotor", climb_max_m_s=0.0), "climb_max_m_s = 0.0"),
+    "hovering wing": (lambda: FixedWing(kind="fixed_wing", v_min_m_s=0.0), "v_min_m_s = 0.0"),
+    "slow wing": (lambda: FixedWing(kind="fixed_wing", v_max_m_s=5.0), "v_max_m_s = 5.0"),
+    "near beyond far": (lambda: FrustumView(shape="frustum", near_m=7.0), "near_m = 7.0"),
+    "wide camera": (lambda: FrustumView(shape="frustum", width_deg=180.0), "width_deg = 180.0"),
+    "cone": (lambda: ConeView(shape="cone", angle_deg=0.0), "angle_deg = 0.0"),
+    "ball on a line": (lambda: BallView(shape="ball", radius_m=1.0, center_m=(0.0,)), "center_m = (0.0,)"),
+    "a camera in the plane": (lambda: Scenario(view=FrustumView(shape="frustum")), "expected a shape in 2 dimensions"),
+    "a triangle in space": (
+        lambda: Scenario(agent=Quadrotor(kind="quadrotor"), scenes=VOLUME),
+        "expected a shape in 3 dimensions",
+    ),
+    "a density with negative directions": (
+        lambda: VelocityTarget(kind="constant_velocity", Q=((1.0, 2.0), (2.0, 1.0))),
+        "no negative eigenvalue",
     ),
     "process std": (lambda: DriftTarget(process_std_m=-0.1), "process_std_m = -0.1"),
     "first variance": (lambda: DriftTarget(initial_variance_m2=0.0), "initial_variance_m2 = 0.0"),
@@ -162,6 +196,27 @@ EXPERIMENTS = {
             noise=True, select="true",
         ),
     ),
+    "wing": Experiment(
+        scenario=Scenario(
+            agent=FixedWing(kind="fixed_wing"), view=ConeView(shape="cone", depth_m=300.0), scenes=VOLUME,
+            target=AccelerationTarget(kind="constant_acceleration", jerk_m2_s5=0.3),
+            schedule=ScheduleSettings(tau_s=(0.5, 1.0), V=(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 4.0)),) * 2),
+        )
+    ),
+    "free body": Experiment(
+        scenario=Scenario(
+            agent=FreeBody(kind="body", axes=("wz", "vx"), lower=(-1.0, 0.0), upper=(1.0, 3.0)), scenes=VOLUME,
+            view=PrismView(shape="prism", base=TriangleView()),
+            target=VelocityTarget(kind="constant_velocity", Q=((1.0, 0.5, 0.0), (0.5, 1.0, 0.0), (0.0, 0.0, 0.1))),
+        )
+    ),
+    "ball": Experiment(
+        scenario=Scenario(
+            view=BallView(shape="ball", radius_m=4.0, center_m=(1.0, 0.0)), target=StaticTarget(kind="static"),
+            scenes=SceneSettings(drift_m_s=(0.0, 0.0)),
+        )
+    ),
+    **PRESETS,
     "polygon": Experiment(
         scenario=Scenario(
             view=PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (3.0, -1.0), (3.0, 1.0))),
@@ -199,3 +254,33 @@ def test_bad_toml(tmp_path, text, words):
         load_toml(Experiment, path)
     assert words in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+AGENTS = {
+    "drive": (DifferentialDrive(space="spatial", v_max_m_s=2.0, w_max_rad_s=0.5), {0: (0.0, 2.0), 5: (-0.5, 0.5)}),
+    "quadrotor": (
+        Quadrotor(kind="quadrotor", v_max_m_s=3.0, climb_max_m_s=1.0, yaw_rate_max_rad_s=2.0),
+        {0: (-3.0, 3.0), 1: (-3.0, 3.0), 2: (-1.0, 1.0), 5: (-2.0, 2.0)},
+    ),
+    "wing": (
+        FixedWing(kind="fixed_wing"),
+        {0: (10.0, 20.0), 3: (-1.0, 1.0), 4: (-0.5, 0.5), 5: (-0.2, 0.2)},
+    ),
+    "free": (
+        FreeBody(kind="body", axes=("wy", "vx"), lower=(-1.0, 0.0), upper=(2.0, 3.0)),
+        {0: (0.0, 3.0), 4: (-1.0, 2.0)},
+    ),
+}
+"""Settings, and the limits of each axis of the twist [v_x, v_y, v_z, w_x, w_y, w_z] that they command."""
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_every_command_reaches_its_axis_within_its_limits(name):
+    settings, limits = AGENTS[name]
+    agent = settings.agent()
+    assert agent.axes == tuple(limits)
+    for end, side in ((-1.0, 0), (1.0, 1)):
+        twist = np.zeros(6)
+        for axis, both in limits.items():
+            twist[axis] = both[side]
+        np.testing.assert_allclose(agent.twist(jnp.full(len(limits), end)), twist, rtol=1e-12)

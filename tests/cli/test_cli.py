@@ -61,7 +61,7 @@ def test_help_needs_no_jax_and_names_every_command() -> None:
     code = "import sys\nfrom foveate.cli.main import main\ntry: main(['--help'])\nfinally: print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("False")
-    for command in ("train", "evaluate", "fit", "replay"):
+    for command in ("train", "evaluate", "fit", "replay", "render"):
         assert command in done.stdout
 
 
@@ -128,7 +128,43 @@ def test_wrong_input_is_one_line(
     assert "exists already" in failure(capsys, "train", "--out", str(run))
     assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(run / "config.toml"))
     assert "no folder" in failure(capsys, "evaluate", str(run), "--json", str(tmp_path / "no" / "x.json"))
+    assert "--scene-seed -1" in failure(capsys, "evaluate", str(run), "--scene-seed", "-1")
     assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
+
+
+def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A recording with z, its fit, a training of one epoch, its scenes, its replay and pictures of both."""
+    recording, config, run = tmp_path / "birds.csv", tmp_path / "birds.toml", tmp_path / "run"
+    rows = [f"{0.5 * k},a,{-5 + 0.5 * k},2,{1 + 0.1 * k}\n{0.5 * k},b,1,{4 - 0.4 * k},2\n" for k in range(24)]
+    recording.write_text("time_s,track_id,x_m,y_m,z_m\n" + "".join(rows))
+    assert main(["fit", str(recording), "--out", str(config), "--view-depth", "5"]) == 0
+    text = config.read_text()
+    assert 'kind = "quadrotor"' in text
+    assert 'kind = "constant_velocity"' in text
+    # The deeper network and long episodes are for real trainings.
+    text = text.replace("[64, 64, 64]", "[8, 4]").replace("[64, 64]", "[4]").replace("[64]", "[4]")
+    config.write_text(text.replace("held_out = 240", "held_out = 2").replace("steps = 20", "steps = 3"))
+    assert main(["train", "--config", str(config), "--epochs", "1", "--episodes", "2", "--out", str(run)]) == 0
+    arguments = ["--method", "policy", "--protocol", "true", "--json", str(tmp_path / "out.json")]
+    assert main(["evaluate", str(run), *arguments]) == 0
+    check_contract("evaluate", tmp_path / "out.json")
+    assert {row["targets"] for row in json.loads((tmp_path / "out.json").read_text())["rows"]} == {1, 2}
+    out = tmp_path / "replay"
+    assert main(["replay", str(run), str(recording), "--method", "policy", "--out", str(out)]) == 0
+    check_contract("replay", out / "replay.json")
+    assert main(["render", str(run), "--out", str(tmp_path / "course.png")]) == 0
+    assert (tmp_path / "course.png").read_bytes().startswith(b"\x89PNG")
+    assert "planar" in failure(capsys, "evaluate", str(run), "--scenes", "table1")
+
+
+def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gif = str(tmp_path / "x.gif")
+    assert ".gif, .mp4, .png" in failure(capsys, "render", str(run), "--out", str(tmp_path / "x.txt"))
+    assert "no such scene" in failure(capsys, "render", str(run), "--out", gif, "--scene", "nobody")
+    two = ("--scene", "biased-3-00", "biased-5-00")
+    assert "one scene" in failure(capsys, "render", str(run), "--out", gif, *two)
+    assert "--method all" in failure(capsys, "render", str(run), "--out", gif, "--method", "all")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_damaged_checkpoint_is_named(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

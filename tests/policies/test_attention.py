@@ -7,8 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
+from foveate.geometry.space import SPACES
 from foveate.policies.attention import AttentionPolicy, AttentionSettings, masked_softmax
 from foveate.policies.inputs import policy_inputs
 from foveate.problem import Observation
@@ -86,7 +89,9 @@ def by_the_paper(network, agent, targets, present):
 @pytest.mark.parametrize(("frame", "n_y", "out"), [("world", 2, (64,)), ("body", 4, (64, 64))])
 def test_network_of_the_paper(frame, n_y, out):
     length = {"world": 1.0, "body": 2.5}[frame]
-    network = policy(frame, n_y, out_widths=out, alpha=40.0 if frame == "world" else 4.0, length_m=length)
+    scale = {"world": "plain", "body": "asinh"}[frame]
+    alpha = 40.0 if frame == "world" else 4.0
+    network = policy(frame, n_y, out_widths=out, alpha=alpha, length_m=length, information=scale)
     widths = [layer.weight.shape for part in (network.agent_layers, network.target_layers) for layer in part]
     features = n_y + n_y * (n_y + 1) // 2
     assert widths == [(32, 3), (32, 32), (64, features), (32, 64)]
@@ -101,7 +106,10 @@ def test_network_of_the_paper(frame, n_y, out):
             whole = np.kron(np.eye(n_y // 2), R)
             P = whole.T @ P @ whole
             p = np.concatenate([R.T @ (p[:2] - pose[:2]), R.T @ p[2:]]) if n_y == 4 else R.T @ (p - pose[:2])
-        targets.append([*(p / length), *(P[i, j] for i in range(n_y) for j in range(i + 1))])
+        packed = np.array([P[i, j] for i in range(n_y) for j in range(i + 1)])
+        if scale == "asinh":
+            packed = np.log(packed + np.sqrt(packed**2 + 1))
+        targets.append([*(p / length), *packed])
     yaw, half = pose[2], pose[2] / 2
     # log of SE(2): the inverse of the left Jacobian, (w/2) cot(w/2) on the diagonal.
     inverse = np.array([[half / np.tan(half), half], [-half, half / np.tan(half)]])
@@ -109,6 +117,28 @@ def test_network_of_the_paper(frame, n_y, out):
     expected, attention = by_the_paper(network, agent, np.array(targets), present)
     assert 0.02 < attention.max() < 0.98
     np.testing.assert_allclose(decide(network, pose, mean, information, present), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("n_y", [3, 6, 9])
+def test_inputs_in_space(n_y):
+    """Body frame: every vector of a state, and both sides of its information matrix, turned by scipy's rotation."""
+    turn = Rotation.from_rotvec([0.3, -0.8, 1.9])
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn.as_matrix(), [1.0, -2.0, 0.5]
+    mean, root = RNG.normal(size=(4, n_y)), RNG.normal(size=(4, n_y, n_y))
+    information = root @ np.swapaxes(root, 1, 2)
+    observation = seen(T, mean, information, np.ones(4, bool))
+    pose_body, features = policy_inputs(observation, SPACES["spatial"], "body", length_m=2.0)
+    np.testing.assert_array_equal(pose_body, np.zeros(6))
+    whole = np.kron(np.eye(n_y // 3), T[:3, :3])
+    for row, p, P in zip(np.asarray(features), mean, information, strict=True):
+        vectors = p.reshape(-1, 3) - np.eye(n_y // 3, 1) * T[:3, 3]
+        np.testing.assert_allclose(row[:n_y], turn.inv().apply(vectors).ravel() / 2.0, atol=1e-12)
+        np.testing.assert_allclose(row[n_y:], (whole.T @ P @ whole)[np.tril_indices(n_y)], atol=1e-12)
+    pose_world, _ = policy_inputs(observation, SPACES["spatial"], "world")
+    twist = np.zeros((4, 4))
+    twist[:3, :3], twist[:3, 3] = np.cross(np.eye(3), np.asarray(pose_world[3:])), pose_world[:3]
+    np.testing.assert_allclose(expm(twist), T, atol=1e-12)
 
 
 def test_masked_softmax_is_softmax_over_what_is_there():

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.space import Space
-from foveate.policies.inputs import Frame, policy_inputs
+from foveate.policies.inputs import Frame, Scale, policy_inputs
 from foveate.problem import Observation, Policy, Problem
 from foveate.types import Action, Key
 
@@ -22,7 +22,7 @@ class AttentionSettings:
     """The paper's network: widths of its layers, alpha, and the frame of its inputs.
 
     Positions enter in units of `length_m` (the paper: metres): a world far larger than a metre would saturate the
-    attention of a fresh network.
+    attention of a fresh network. `information` says on which scale information matrices enter (the paper: plain).
     """
 
     kind: Literal["attention"] = "attention"
@@ -32,6 +32,7 @@ class AttentionSettings:
     out_widths: tuple[int, ...] = (64,)
     alpha: float = 4.0
     length_m: float = 1.0
+    information: Scale = "plain"
 
     def __post_init__(self) -> None:
         for name in ("agent_widths", "target_widths", "out_widths"):
@@ -60,7 +61,8 @@ class AttentionSettings:
             (2 * embedding, *self.out_widths, len(problem.agent.axes)),
         )
         agent, target, out = _fresh_layers(widths, key)
-        return AttentionPolicy(agent, target, out, problem.agent.space, self.frame, self.alpha, self.length_m)
+        plain = (problem.agent.space, self.frame, self.alpha, self.length_m, self.information)
+        return AttentionPolicy(agent, target, out, *plain)
 
 
 def _fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[tuple[eqx.nn.Linear, ...]]:
@@ -92,11 +94,12 @@ class AttentionPolicy(Policy):
     frame: Frame = eqx.field(static=True)
     alpha: float = eqx.field(static=True)
     length_m: float = eqx.field(static=True)
+    information: Scale = eqx.field(static=True)
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: tanh of the last layer."""
         del key
-        pose, targets = policy_inputs(observation, self.space, self.frame, self.length_m)
+        pose, targets = policy_inputs(observation, self.space, self.frame, self.length_m, self.information)
         for layer in self.agent_layers:
             pose = jax.nn.relu(layer(pose))
         for layer in self.target_layers:

@@ -10,20 +10,23 @@ from foveate.linalg import multiply, vech
 from foveate.problem import Observation
 
 Frame = Literal["body", "world"]
+Scale = Literal["plain", "asinh"]
 
 
 def policy_inputs(
-    observation: Observation, space: Space, frame: Frame, length_m: float = 1.0
+    observation: Observation, space: Space, frame: Frame, length_m: float = 1.0, scale: Scale = "plain"
 ) -> tuple[Float[Array, " n_u"], Float[Array, "n features"]]:
     """s = [log(T)^v, {p, vech(P)}] (paper, problem 6): numbers about the agent, and about each target.
 
     In the world frame as the paper's text has it. In the body frame the pose is zero, and mean and information
     matrix are turned into the agent's frame: the same decision wherever the world's origin lies. The state is
-    read as vectors of d numbers, the first of them the position. Means are in units of `length_m` [m].
+    read as vectors of d numbers, the first of them the position. Means are in units of `length_m` [m]. With the
+    scale "asinh" each number of an information matrix, which grows a thousandfold when a target is seen, enters as
+    its inverse hyperbolic sine: as it is near zero, by its logarithm beyond.
     """
     mean, information = observation.mean, observation.information
     if frame == "world":
-        return space.log(observation.pose), jnp.concatenate([mean / length_m, vech(information)], axis=-1)
+        return space.log(observation.pose), _features(mean, information, length_m, scale)
     d, (n, size) = space.dimension, mean.shape
     turn = space.rotation(observation.pose)
     position_body = space.to_body(observation.pose, mean[:, :d])
@@ -33,4 +36,11 @@ def policy_inputs(
     rows_body = multiply(information.reshape(-1, d), turn).reshape(n, size, size)
     information_body = multiply(jnp.swapaxes(rows_body, -1, -2).reshape(-1, d), turn).reshape(n, size, size)
     pose_body = jnp.zeros(space.twist_size, mean.dtype)
-    return pose_body, jnp.concatenate([mean_body / length_m, vech(information_body)], axis=-1)
+    return pose_body, _features(mean_body, information_body, length_m, scale)
+
+
+def _features(
+    mean: Float[Array, "n n_y"], information: Float[Array, "n n_y n_y"], length_m: float, scale: Scale
+) -> Float[Array, "n features"]:
+    packed = vech(information)
+    return jnp.concatenate([mean / length_m, jnp.arcsinh(packed) if scale == "asinh" else packed], axis=-1)
