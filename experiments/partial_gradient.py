@@ -1,0 +1,134 @@
+"""What the printed form of Proposition 1 costs: its gradient against the total one, on the paper's scenes.
+
+    python experiments/partial_gradient.py [--run runs/paper-0 runs/paper-10 ...]
+
+The printed recursion holds the inputs s_k of the policy fixed, du/dtheta = dpi/dtheta; the total derivative lets pose
+and information move with theta too. Both come from `foveate.learning.sensitivity`, in float64, noise-free, on the
+planar scenario lifted into space, for policies before training (as `foveate train` starts them) and for the best ones
+of run folders. The table has the angle between the two [deg] and |printed| / |total|: scene by scene, over the scenes
+that have a gradient worth the name, and of the mean gradient of all scenes, which is what a training step follows.
+At 90 degrees or more a small step along the printed gradient does not raise the objective.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from foveate.checkpoint import load_run
+from foveate.learning.policy_gradient import training_episode
+from foveate.learning.sensitivity import policy_gradient
+from foveate.lifting import Lifted, lifted_episode, lifted_problem
+from foveate.policies.inputs import Frame
+from foveate.problem import Policy
+from foveate.settings import PRESETS
+
+PAPER = PRESETS["paper"]
+SEEDS = (0, 10, 100)
+TARGETS = (3, 5, 7)
+LEAST = 1e-3
+"""A scene whose gradient is smaller [nat per target] has its targets out of reach, where 1 - Phi is flat: no angle."""
+RESAMPLES = 400
+
+
+def fresh(seed: int, frame: Frame) -> Policy:
+    """The paper's network as a training with this seed begins: drawn in single precision, then widened."""
+    with jax.enable_x64(False):
+        settings = replace(PAPER.policy, frame=frame)
+        policy = settings.policy(PAPER.scenario.problem(), jax.random.split(jax.random.key(seed), 4)[0])
+    return jax.tree.map(lambda x: x.astype(float) if eqx.is_inexact_array(x) else x, policy)
+
+
+def trained(run: Path) -> Policy:
+    """The best policy of a run folder; ValueError where it was trained in another scenario than the paper's."""
+    experiment, policy, _ = load_run(run)
+    if experiment.scenario != PAPER.scenario:
+        raise ValueError(f"{run}: expected a run in the paper's scenario")
+    return policy
+
+
+@eqx.filter_jit
+def gradients(policy: Policy, targets: int, keys: jax.Array) -> jax.Array:
+    """Printed and total gradient by the parameters, a scene for each key: (scenes, 2, n_p) [nat per target]."""
+    problem = PAPER.scenario.problem()
+    scenes = replace(PAPER.scenario.scenes, targets_min=targets, targets_max=targets)
+
+    def one(key: jax.Array) -> jax.Array:
+        episode = lifted_episode(training_episode(problem, scenes, key, noise=False))
+        both = [
+            policy_gradient(lifted_problem(problem), Lifted(policy), episode, total=total) for total in (False, True)
+        ]
+        return jnp.stack([ravel_pytree(gradient)[0] for _, gradient in both]) / targets
+
+    return jax.lax.map(one, keys)  # one scene after the other: the derivatives of one fill memory enough
+
+
+def compare(printed: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle [deg] and |printed| / |total| of vectors along the last axis."""
+    sizes = [np.linalg.norm(x, axis=-1) for x in (printed, total)]
+    one, other = (x / size[..., None] for x, size in zip((printed, total), sizes, strict=True))
+    # Not by arccos, which knows small angles only to the root of the precision.
+    half = np.arctan2(np.linalg.norm(one - other, axis=-1), np.linalg.norm(one + other, axis=-1))
+    return np.degrees(2 * half), sizes[0] / sizes[1]
+
+
+def row(name: str, targets: str, both: np.ndarray) -> str:
+    """One line of the table, of gradients (scenes, 2, n_p)."""
+    felt = both[np.linalg.norm(both[:, 1], axis=-1) >= LEAST]
+    angle, ratio = compare(felt[:, 0], felt[:, 1])
+    mean_angle, mean_ratio = compare(*both.mean(axis=0))
+    # A few scenes carry most of a mean: how much its angle depends on which ones were drawn, by the bootstrap.
+    draws = np.random.default_rng(0).multinomial(len(both), np.full(len(both), 1 / len(both)), RESAMPLES)
+    again = np.tensordot(draws, both, axes=1)
+    low, high = np.percentile(compare(again[:, 0], again[:, 1])[0], [10, 90])
+    cells = [name, targets, f"{len(felt)} of {len(both)}", f"{np.median(angle):.1f}", f"{np.percentile(angle, 90):.0f}"]
+    cells += [str(np.sum(angle >= 90)), f"{np.median(ratio):.2f}"]
+    cells += [f"{mean_angle:.0f} ({low:.0f} to {high:.0f})", f"{mean_ratio:.2f}"]
+    return "| " + " | ".join(cells) + " |"
+
+
+def rows(name: str, policy: Policy, scenes: int, seed: int) -> Iterator[str]:
+    """One line for each number of targets, and one for all scenes together."""
+    everything = []
+    for targets in TARGETS:
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), targets), scenes)
+        everything.append(np.asarray(gradients(policy, targets, keys)))
+        yield row(name, str(targets), everything[-1])
+    yield row(name, "all", np.concatenate(everything))
+
+
+def main() -> None:
+    """Print the table, in Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--run", nargs="+", action="extend", type=Path, default=[], help="run folders: trained policies"
+    )
+    parser.add_argument("--scenes", type=int, default=20, help="scenes for each of 3, 5 and 7 targets")
+    parser.add_argument("--seed", type=int, default=0, help="of the scenes")
+    parser.add_argument("--frame", choices=("body", "world"), default="body", help="of the fresh policies' inputs")
+    parser.add_argument("--skip-fresh", action="store_true", help="only the run folders")
+    given = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    policies = {} if given.skip_fresh else {f"fresh, seed {seed}": fresh(seed, given.frame) for seed in SEEDS}
+    try:
+        policies |= {str(run): trained(run) for run in given.run}
+    except ValueError as error:
+        parser.error(str(error))
+    print(
+        "| policy | targets | scenes with a gradient | angle, median | 90th percentile | scenes at 90 or more"
+        " | ratio, median | angle of the mean (10th to 90th percentile) | ratio of the means |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name, policy in policies.items():
+        for line in rows(name, policy, given.scenes, given.seed):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
