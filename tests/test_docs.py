@@ -1,0 +1,174 @@
+"""What the pages promise is there: files behind links, headings, symbols, tests, and quoted lines of code."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/*.md")])
+EQUATIONS = ROOT / "docs" / "equations.md"
+NUMBERS = list(range(1, 29))
+"""The numbered equations of the compiled paper."""
+
+LINK = re.compile(r"\[([^\[\]]*)\]\(([^()\s]+)\)")
+FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```", re.DOTALL | re.MULTILINE)
+SYMBOL = re.compile(r"`([\w/]+\.py)` `([\w.]+)`")
+TEST = re.compile(r"`(tests/[\w/]+\.py)::(test_\w+)`")
+NUMBERED = re.compile(r"^### \((\d+)\)(?:–\((\d+)\))?", re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """What a `#fragment` may name: headings, as GitHub writes them."""
+    headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path) -> list[str]:
+    """Relative links of a page that lead nowhere."""
+    found = []
+    for _, target in LINK.findall(FENCE.sub("", page.read_text(encoding="utf-8"))):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, fragment = target.partition("#")
+        file = page.parent / name if name else page
+        if not file.exists() or (fragment and file.suffix == ".md" and fragment not in anchors(file)):
+            found.append(f"{page.name}: nothing at {target}")
+    return found
+
+
+def bound(node: ast.stmt) -> list[str]:
+    """The names that a statement of a module or class body defines."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def defines(file: Path, symbol: str) -> bool:
+    """Whether a file has this function, class or constant, or `Class.member`."""
+    body = ast.parse(file.read_text(encoding="utf-8")).body
+    for part in symbol.split("."):
+        node = next((node for node in body if part in bound(node)), None)
+        if node is None:
+            return False
+        body = node.body if isinstance(node, ast.ClassDef) else []
+    return True
+
+
+def quotes(file: Path, snippet: str) -> bool:
+    """Whether the lines stand in the file one after the other, whatever their indentation."""
+    wanted, lines = ([line.strip() for line in text.splitlines()] for text in (snippet, file.read_text("utf-8")))
+    return any(lines[i : i + len(wanted)] == wanted for i in range(len(lines)))
+
+
+def unkept(page: Path) -> list[str]:
+    """Symbols, tests and quoted lines of an equations page that are not in the files that it names."""
+    text, found, source = page.read_text(encoding="utf-8"), [], None
+    places = sorted([*LINK.finditer(text), *FENCE.finditer(text)], key=lambda match: match.start())
+    for match in places:
+        if match.re is FENCE:
+            if match[2] == "python" and (source is None or not quotes(source, match[3])):
+                found.append(f"{page.name}: not in {source and source.name}: {match[3].strip()}")
+            continue
+        label, target = match.groups()
+        file = page.parent / target
+        if file.suffix != ".py" or not file.exists():
+            continue
+        symbol = SYMBOL.fullmatch(label) or TEST.fullmatch(label)
+        if symbol is None or not target.endswith(symbol[1]) or not defines(file, symbol[2]):
+            found.append(f"{page.name}: {target} does not have {label}")
+        if SYMBOL.fullmatch(label):
+            source = file
+    return found
+
+
+def numbers(text: str) -> list[int]:
+    """The equation numbers in the headings of a page, in order."""
+    spans = [(int(first), int(last or first)) for first, last in NUMBERED.findall(text)]
+    return [number for first, last in spans for number in range(first, last + 1)]
+
+
+def untold(text: str) -> list[str]:
+    """Sections of numbered equations without code or without a test."""
+    sections = [part for part in re.split(r"^(?=##)", text, flags=re.MULTILINE) if NUMBERED.match(part)]
+    return [part.splitlines()[0] for part in sections if not (SYMBOL.search(part) and TEST.search(part))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_links_lead_somewhere(page: Path) -> None:
+    assert broken_links(page) == []
+
+
+def test_every_equation_has_its_code_and_its_test() -> None:
+    text = EQUATIONS.read_text(encoding="utf-8")
+    assert numbers(text) == NUMBERS
+    assert untold(text) == []
+    assert len(SYMBOL.findall(text)) > 28
+    assert unkept(EQUATIONS) == []
+
+
+MADE_UP = """\
+# A page
+
+### (1)–(2) Two in one
+
+[`code.py` `CONSTANT`](code.py), [`code.py` `Thing.field`](code.py), [`code.py` `Thing.act`](code.py), [this](#a-page)
+
+  ```python
+  x = [0](1)
+  return x
+  ```
+
+[`tests/test_it.py::test_it`](tests/test_it.py), [elsewhere](https://example.org/no)
+"""
+CODE = """\
+CONSTANT: int = 1
+
+
+class Thing:
+    field: int
+
+    def act(self):
+        x = [0](1)
+        return x
+"""
+
+
+def made_up(folder: Path, text: str) -> Path:
+    (folder / "tests").mkdir()
+    (folder / "code.py").write_text(CODE, encoding="utf-8")
+    (folder / "tests" / "test_it.py").write_text("def test_it(): ...\n", encoding="utf-8")
+    (folder / "page.md").write_text(text, encoding="utf-8")
+    return folder / "page.md"
+
+
+def test_a_sound_page_passes(tmp_path: Path) -> None:
+    page = made_up(tmp_path, MADE_UP)
+    assert broken_links(page) == unkept(page) == untold(MADE_UP) == []
+    assert numbers(MADE_UP) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("(code.py), [this]", "(gone.py), [this]"),
+        ("#a-page", "#another-page"),
+        ("`CONSTANT`", "`GONE`"),
+        ("`Thing.field`", "`Thing.gone`"),
+        ("`Thing.act`", "`act`"),
+        ("`code.py` `CONSTANT`", "`other.py` `CONSTANT`"),
+        ("`code.py` `CONSTANT`", "the constant"),
+        ("::test_it", "::test_gone"),
+        ("return x", "return y"),
+    ],
+)
+def test_an_unsound_page_is_caught(tmp_path: Path, right: str, wrong: str) -> None:
+    assert MADE_UP.count(right) == 1
+    page = made_up(tmp_path, MADE_UP.replace(right, wrong))
+    assert len(broken_links(page) + unkept(page)) == 1
+
+
+def test_a_section_without_code_or_test_is_caught() -> None:
+    assert untold(MADE_UP.replace("::test_it", "")) == untold(MADE_UP.replace("`code.py` ", "")) != []
