@@ -81,7 +81,7 @@ def policy_gradient(
         Omega=jnp.zeros((theta.size, *Y.shape), Y.dtype),
     )
     last, _ = jax.lax.scan(step, first, jnp.arange(episode.inputs.shape[0]))
-    # Equation (log-grad-policy): dr/dtheta^(i) = sum_j tr((Y_K^(j))^-1 Omega_K^(j,i)); padding has no part in it.
+    # Equation (23): dr/dtheta^(i) = sum_j tr((Y_K^(j))^-1 Omega_K^(j,i)); padding has no part in it.
     real = episode.present.astype(Y.dtype)
     score = jnp.sum(real * log_det_spd(last.Y))
     gradient = jnp.einsum("j,jab,ijba->i", real, inverse_spd(last.Y), last.Omega)
@@ -117,13 +117,13 @@ def _step(
     if total:
         du = du + jnp.einsum("uab,iab->iu", by_T, now.Lambda) + jnp.einsum("ujab,ijab->iu", by_P, dP)
 
-    # Equation (Lambda-update): Lambda' = Lambda exp(tau u^) + T sum_m du^(m)/dtheta^(i) dexp(tau u^)/du^(m).
+    # Equation (27): Lambda' = Lambda exp(tau u^) + T sum_m du^(m)/dtheta^(i) dexp(tau u^)/du^(m).
     exp = lie.exp_se3(tau * u)
     by_u = jax.jacfwd(lambda u: lie.exp_se3(tau * u))(u)
     T = now.T @ exp
     Lambda = now.Lambda @ exp + jnp.einsum("ab,bcu,iu->iac", now.T, by_u, du)
 
-    # Equation (Omega-update): the weight and, where V turns or grows with range, what a measurement is worth, both
+    # Equation (26): the weight and, where V turns or grows with range, what a measurement is worth, both
     # through q = Q T^-1 zeta_, dq = -Q T^-1 dT T^-1 zeta_.
     zeta = motion.position(mean)
     T_inverse = lie.inverse_se3(T)

@@ -23,7 +23,7 @@ PAPER_SOFTNESS = Softness(offset=2.0, kappa=0.4)
 
 
 def detection_weight(distance: Float[Array, "*b"], softness: Softness) -> Float[Array, "*b"]:
-    """1 - Phi(d), Phi(d) = [1 + erf(d / (sqrt 2 kappa) - offset)] / 2: 1 deep inside, 0 far outside (paper, eq. for M).
+    """1 - Phi(d), Phi(d) = [1 + erf(d / (sqrt 2 kappa) - offset)] / 2: 1 inside, 0 far outside (paper, equation 20).
 
     `distance` is the signed distance [m] to the field of view, negative inside.
     """

@@ -16,7 +16,7 @@ Scale = Literal["plain", "asinh"]
 def policy_inputs(
     observation: Observation, space: Space, frame: Frame, length_m: float = 1.0, scale: Scale = "plain"
 ) -> tuple[Float[Array, " n_u"], Float[Array, "n features"]]:
-    """s = [log(T)^v, {p, vech(P)}] (paper, problem 6): numbers about the agent, and about each target.
+    """s = [log(T)^v, {p, vech(P)}] (paper, section 2): numbers about the agent, and about each target.
 
     In the world frame as the paper's text has it. In the body frame the pose is zero, and mean and information
     matrix are turned into the agent's frame: the same decision wherever the world's origin lies. The state is
