@@ -128,7 +128,7 @@ def _in_space(statistics: MotionStatistics, robot: Robot, goal: Literal["seen", 
     training = TrainingSettings(
         epochs=600,
         episodes=64,
-        learning_rate=1e-3,
+        learning_rate=5e-4,
         schedule="cosine",
         softness=((1.0, 0.2 * depth), (0.3, 0.075 * depth)),
         objective="seen" if goal == "seen" else "mean",
