@@ -13,8 +13,16 @@ FLOORS = [
     ["geometry.lie", "geometry.space", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     ["problem", "scenario", "scenes", "rollout", "episodes", "environment"],
-    ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
-    ["settings", "checkpoint", "evaluation", "film", "recorded", "motion_fit", "fit", "replay"],
+    [
+        "policies.inputs",
+        "policies.attention",
+        "policies.handmade",
+        "planning.information",
+        "planning.tours",
+        "planning.shooting",
+        "planning.receding",
+    ],
+    ["settings", "checkpoint", "evaluation", "yardstick", "film", "recorded", "motion_fit", "fit", "replay"],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
     ["drawing", "figures", "animation", "gym", "export", "stonesoup", "view", "cli.*"],
 ]

@@ -111,12 +111,16 @@ def _keys(key, names, runs):
     return jax.vmap(lambda name, run: jax.random.fold_in(jax.random.fold_in(key, name), run))(names, runs)
 
 
+def policy_keys(suite: Suite) -> jax.Array:
+    """The key of a policy's own chance in every episode."""
+    names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
+    runs = np.arange(len(names)) % suite.episodes_per_scene
+    return _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
+
+
 def simulate(suite: Suite, policy: Policy, protocol: Protocol) -> Trace:
     """Every episode of the suite; a leading axis of episodes, as numpy arrays."""
-    count = len(suite.scenes) * suite.episodes_per_scene
-    names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
-    runs = np.arange(count) % suite.episodes_per_scene
-    keys = _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
+    count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
     parts = []
     for first in range(0, count, CHUNK):
         rows = np.minimum(np.arange(first, first + CHUNK), count - 1)
@@ -152,25 +156,34 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
     with ThreadPoolExecutor() as pool:  # compilation, most of the wait, runs side by side
         traces = list(pool.map(lambda name: simulate(suite, policy, PROTOCOLS[name]), protocols))
     step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
+    times = [step_time] * len(suite.truth.state)
+    return [
+        row
+        for protocol, trace in zip(protocols, traces, strict=True)
+        for row in rows_of(suite, method, protocol, trace, times)
+    ]
+
+
+def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
+    """One row an episode of what happened to a method, whose decisions took `step_times` [s] in each episode."""
     truth = np.asarray(suite.truth.state)
     rows = []
-    for protocol, trace in zip(protocols, traces, strict=True):
-        for i in range(len(truth)):
-            scene = suite.scenes[i // suite.episodes_per_scene]
-            measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
-            rows.append(
-                Row(
-                    scene=scene.id,
-                    episode=i % suite.episodes_per_scene,
-                    seed=suite.seed,
-                    method=method,
-                    protocol=protocol,
-                    motion=scene.motion,
-                    targets=len(scene.targets),
-                    step_time_s=step_time,
-                    **measures,
-                )
+    for i, step_time in enumerate(step_times):
+        scene = suite.scenes[i // suite.episodes_per_scene]
+        measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
+        rows.append(
+            Row(
+                scene=scene.id,
+                episode=i % suite.episodes_per_scene,
+                seed=suite.seed,
+                method=method,
+                protocol=protocol,
+                motion=scene.motion,
+                targets=len(scene.targets),
+                step_time_s=step_time,
+                **measures,
             )
+        )
     return rows
 
 

@@ -19,9 +19,10 @@ def keep_compiled() -> None:
     run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place."""
     import jax
 
+    from foveate.files import cache_folder
+
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "foveate" / "jax"))
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
