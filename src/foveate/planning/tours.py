@@ -28,9 +28,14 @@ def straight_ahead(problem: Problem, steps: int) -> Float[Array, "K m"]:
     return jnp.zeros((steps, len(problem.agent.axes)))
 
 
-def tours(
-    problem: Problem, future: Future, standoff_m: float | Scalar, count: int, key: Key
-) -> Float[Array, "count K m"]:
+def best_range(view: FieldOfView) -> Scalar:
+    """How far straight ahead a target is deepest in view [m]; 0 for a view without bounds."""
+    ahead = jnp.linspace(0.0, 1.0, 101) * jnp.where(jnp.isfinite(view.depth), view.depth, 0.0)
+    points = jnp.zeros((len(ahead), view.dimension)).at[:, 0].set(ahead)
+    return ahead[jnp.argmin(view.signed_distance(points))]
+
+
+def tours(problem: Problem, future: Future, count: int, key: Key) -> Float[Array, "count K m"]:
     """Raw actions that steer to the target least looked at, among equals to the nearest by the tour's own taste."""
     standoff_m = best_range(problem.sensor.view)
     return jax.vmap(lambda k: _tour(problem, future, standoff_m, k))(jax.random.split(key, count))
