@@ -22,7 +22,7 @@ FLOORS = [
         "planning.shooting",
         "planning.receding",
     ],
-    ["settings", "checkpoint", "evaluation", "yardstick", "film", "recorded", "motion_fit", "fit", "replay"],
+    ["settings", "checkpoint", "evaluation", "planned", "yardstick", "film", "recorded", "motion_fit", "fit", "replay"],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
     ["drawing", "figures", "animation", "gym", "export", "stonesoup", "view", "cli.*"],
 ]

@@ -29,7 +29,7 @@ from foveate.models import belief
 from foveate.models.belief import entropy
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.information import Future, score
-from foveate.planning.receding import OpenLoop
+from foveate.planning.receding import Given
 from foveate.planning.shooting import PlanSettings, plan
 from foveate.problem import Episode, Problem, first_information
 from foveate.rollout import PROTOCOLS, Protocol, rollout
@@ -125,7 +125,7 @@ def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
 
 @eqx.filter_jit
 def _drive(problem: Problem, action, episodes: Episode, protocol: Protocol, keys):
-    return jax.vmap(lambda e, a, k: rollout(problem, OpenLoop(a), e, protocol, k))(episodes, action, keys)
+    return jax.vmap(lambda e, a, k: rollout(problem, Given(a), e, protocol, k))(episodes, action, keys)
 
 
 def _future(problem: Problem, episode: Episode) -> Future:

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from foveate.evaluation import Summary
     from foveate.problem import Policy
+    from foveate.scenes import Scene
     from foveate.settings import Experiment
 
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
@@ -70,6 +72,25 @@ def check_seed(seed: int) -> None:
         raise ValueError(f"--seed {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
+def check_least(name: str, value: int | None, least: int) -> None:
+    """Raise ValueError for an option that is given and too small."""
+    if value is not None and value < least:
+        raise ValueError(f"{name} {value}: expected >= {least}")
+
+
+def scenes_of(scenes: str, experiment: "Experiment") -> "list[Scene]":
+    """The scenes of a file, or the built-in suite `table1`."""
+    from foveate.episodes import table1
+    from foveate.scenes import read_scenes
+
+    problem = experiment.scenario.problem()
+    if scenes != "table1":
+        return read_scenes(Path(scenes), problem.agent.space, experiment.scenario.scenes)
+    if experiment.scenario.dimension != 2:
+        raise ValueError("--scenes table1: the paper's suite is planar; give a scenes file")
+    return table1(problem)
+
+
 def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -> None:
     """Raise ValueError now, not after minutes of work, where a result could not be written or would hit an input."""
     if path is None:
@@ -96,6 +117,30 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     # Not a terminal: no colours, and as wide as the table needs.
     console = Console() if sys.stdout.isatty() else Console(width=160, no_color=True)
     console.print(table)
+
+
+def print_summary(title: str, episodes: int, summary: "Sequence[Summary]") -> None:
+    """The table of an evaluation."""
+    header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "rmse [m]")
+    print_table(
+        f"{title}: score per target [nat], {episodes} episode(s) a scene",
+        (*header, "nees (band)"),
+        [
+            (
+                cell.method,
+                cell.protocol,
+                cell.motion,
+                str(cell.targets),
+                f"{cell.mean:.2f}",
+                f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
+                f"{cell.std:.2f}",
+                f"{cell.seen_fraction:.0%}",
+                f"{cell.rmse_m:.2f}",
+                f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
+            )
+            for cell in summary
+        ],
+    )
 
 
 class Bar:

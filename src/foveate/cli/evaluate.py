@@ -36,33 +36,28 @@ class Evaluate:
         """Evaluate, print the summary, write the files."""
         from foveate.cli.common import (
             Bar,
+            check_least,
             check_methods,
             check_output,
             check_seed,
             experiment_of,
             policy_of,
-            print_table,
+            print_summary,
+            scenes_of,
         )
         from foveate.configuration import digest
-        from foveate.episodes import table1
         from foveate.evaluation import evaluate, prepare, result, summarise
         from foveate.files import write_json
-        from foveate.scenes import read_scenes, write_scenes
+        from foveate.scenes import write_scenes
 
         methods = check_methods(self.method)
         for path in (self.json, self.write_scenes):
             check_output(path, self.scenes)
-        if self.episodes < 1:
-            raise ValueError(f"--episodes {self.episodes}: expected >= 1")
+        check_least("--episodes", self.episodes, 1)
         check_seed(self.seed)
         experiment = experiment_of(self.run)
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
-        if self.scenes == "table1":
-            if experiment.scenario.dimension != 2:
-                raise ValueError("--scenes table1: the paper's suite is planar; give a scenes file")
-            scenes = table1(problem)
-        else:
-            scenes = read_scenes(Path(self.scenes), problem.agent.space, settings)
+        scenes = scenes_of(self.scenes, experiment)
         policies = {name: policy_of(self.run, name, experiment) for name in methods}
         suite = prepare(problem, settings, scenes, self.seed, self.episodes)
         protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
@@ -72,36 +67,7 @@ class Evaluate:
                 bar.update(done, name)
                 rows += evaluate(suite, name, policy, protocols)
         summary = summarise(rows, problem.motion.state_size)
-        print_table(
-            f"{self.run} on {self.scenes}: score per target [nat], {self.episodes} episode(s) a scene",
-            (
-                "method",
-                "protocol",
-                "motion",
-                "targets",
-                "score",
-                "95 % interval",
-                "std",
-                "seen",
-                "rmse [m]",
-                "nees (band)",
-            ),
-            [
-                (
-                    cell.method,
-                    cell.protocol,
-                    cell.motion,
-                    str(cell.targets),
-                    f"{cell.mean:.2f}",
-                    f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
-                    f"{cell.std:.2f}",
-                    f"{cell.seen_fraction:.0%}",
-                    f"{cell.rmse_m:.2f}",
-                    f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
-                )
-                for cell in summary
-            ],
-        )
+        print_summary(f"{self.run} on {self.scenes}", self.episodes, summary)
         if self.json is not None:
             facts = {"run": self.run, "scenes": self.scenes, "experiment": digest(experiment)}
             write_json(self.json, result(rows, summary, facts))

@@ -8,7 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from foveate.models.sensor import Softness
 from foveate.planning.information import Future
@@ -22,7 +22,7 @@ SURE = 0.99
 """How near to the limits of the controls the actions of a policy are taken: at them tanh has no gradient."""
 
 
-class OpenLoop(Policy):
+class Given(Policy):
     """Does what it was told, whatever it sees."""
 
     action: Float[Array, "K m"]
@@ -30,6 +30,24 @@ class OpenLoop(Policy):
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The action of this step."""
         return self.action[observation.step], memory
+
+
+class OpenLoop(Policy):
+    """Plans once, at the start, for all `steps` of the episode; its tours are the same in every episode."""
+
+    problem: Problem
+    settings: PlanSettings = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+
+    def start(self, observation: Observation) -> Float[Array, "K m"]:
+        """The actions of the plan: all later inputs are taken to be like the first."""
+        horizon = jnp.array(self.steps)
+        future = believed_future(self.problem, observation, observation.known_input, self.steps, horizon)
+        return plan(self.problem, future, self.settings, jax.random.key(0)).action
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """The action of this step."""
+        return memory[observation.step], memory
 
 
 class Memory(eqx.Module):
@@ -43,13 +61,13 @@ class Memory(eqx.Module):
 class Receding(Policy):
     """Plans anew at every step, from its last plan; with a policy, also from what that would do.
 
-    `horizons[n]` is how many steps an episode with n targets has: a plan goes to its end, or over `window` steps.
+    A plan goes to the end of the episode, which it is told has `horizon` steps, or over the next `window` steps.
     """
 
     problem: Problem
     settings: PlanSettings = eqx.field(static=True)
     window: int = eqx.field(static=True)
-    horizons: Int[Array, " counts"]
+    horizon: Count
     policy: Policy | None = None
 
     def start(self, observation: Observation) -> Memory:
@@ -65,7 +83,8 @@ class Receding(Policy):
         plan_key, policy_key = jax.random.split(key)
         total = memory.total_input + observation.known_input
         later_input = total / (observation.step + 1)
-        future = believed_future(self.problem, observation, later_input, self.window, self._remaining(observation))
+        left = jnp.maximum(self.horizon - observation.step, 1)
+        future = believed_future(self.problem, observation, later_input, self.window, left)
         given, inner = memory.raw[None], memory.policy
         if self.policy is not None:
             level = Softness(*self.settings.last)
@@ -77,11 +96,6 @@ class Receding(Policy):
         best = plan(self.problem, future, self.settings, plan_key, given)
         moved_on = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
         return best.action[0], Memory(moved_on, total, inner)
-
-    def _remaining(self, observation: Observation) -> Count:
-        """Steps that are left, at least one."""
-        count = jnp.minimum(jnp.sum(observation.present), len(self.horizons) - 1)
-        return jnp.maximum(self.horizons[count] - observation.step, 1)
 
 
 def believed_future(

@@ -48,11 +48,19 @@ class PlanSettings:
 
 
 PAPER = (PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa)
-SETTINGS = {
+PUBLISHED = PlanSettings(starts=1, iterations=100, learning_rate=0.1, first=PAPER, last=PAPER, keep=PAPER)
+"""One start and one level of the view, as in the publication; step size and iterations are ours."""
+OMNISCIENT = {
     "surrogate": PlanSettings(first=(4.0, 0.8), last=PAPER, keep=PAPER),
     "true": PlanSettings(),
 }
 """The best that was found for each protocol's score, with all inputs known."""
+ONLINE = {
+    "surrogate": PlanSettings(starts=1, iterations=30, learning_rate=0.1, first=PAPER, last=PAPER, keep=PAPER),
+    "true": PlanSettings(starts=1, iterations=30, learning_rate=0.1, keep=(0.3, 0.25)),
+}
+"""For a plan at every step: few steps from the last plan; where a target really will be is not known, so that the
+soft view says better than the real one what is worth keeping."""
 
 
 class Plan(eqx.Module):
