@@ -1,6 +1,6 @@
 """Planning in receding horizon: at every step a new plan, on the belief of that step; its first action is done.
 
-The agent knows the inputs up to now and takes their mean so far for all later ones.
+The agent knows the inputs up to now and takes their mean so far, each target's own, for all later ones.
 """
 
 from typing import Any
