@@ -118,7 +118,7 @@ def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
     rows = rows_of(suite, "omniscient", protocol, jax.tree.map(np.asarray, trace), list(plans.seconds / horizons))
     n_y = suite.problem.motion.state_size
     return [
-        row if row.score is None else replace(row, score=float(value), entropy=float(entropy(value, n_y)))
+        row if row.score is None else replace(row, score=float(value), entropy=float(entropy(jnp.asarray(value), n_y)))
         for row, value in zip(rows, plans.score, strict=True)
     ]
 
@@ -146,13 +146,16 @@ def _solve(problem: Problem, futures: Future, settings: PlanSettings, keys) -> F
 
 
 def _cropped(futures: Future, rows: np.ndarray, targets: int, steps: int) -> Future:
-    return Future(
-        pose=futures.pose[rows],
-        state=futures.state[rows, :steps, :targets],
-        information=futures.information[rows, :targets],
-        present=futures.present[rows, :targets],
-        horizon=futures.horizon[rows],
-    )
+    def crop(future: Future) -> Future:
+        return Future(
+            pose=future.pose,
+            state=future.state[:steps, :targets],
+            information=future.information[:targets],
+            present=future.present[:targets],
+            horizon=future.horizon,
+        )
+
+    return jax.vmap(crop)(jax.tree.map(lambda x: x[rows], futures))
 
 
 def _solve_all(

@@ -62,8 +62,10 @@ OMNISCIENT = {
 }
 """The best that was found for each protocol's score, with all inputs known."""
 ONLINE = {
-    "surrogate": PlanSettings(starts=1, iterations=30, learning_rate=0.1, first=PAPER, last=PAPER, keep=PAPER),
-    "true": PlanSettings(starts=1, iterations=30, learning_rate=0.1, keep=(0.3, 0.25)),
+    "surrogate": PlanSettings(starts=1, iterations=30, first=(4.0, 0.8), last=PAPER, keep=PAPER),
+    "true": PlanSettings(
+        starts=1, iterations=30, learning_rate=0.03, first=(1.0, 0.4), last=(0.0, 0.25), keep=(0.0, 0.25)
+    ),
 }
 """For a plan at every step: few steps from the last plan; where a target really will be is not known, so that the
 soft view says better than the real one what is worth keeping."""
