@@ -66,8 +66,8 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
     driven = rows_of(suite, "omniscient", "true", jax.tree.map(np.asarray, trace), [row.step_time_s for row in rows])
     for row, real in zip(rows, driven, strict=True):
         # What the filter that really runs earns on the way: under `true` the very score that was planned.
-        assert row.score == pytest.approx(real.score, rel=1e-9)
-        assert row.entropy == pytest.approx(real.entropy, rel=1e-9)
+        if row.targets:
+            assert (row.score, row.entropy) == pytest.approx((real.score, real.entropy), rel=1e-9)
         assert replace(row, score=None, entropy=None) == replace(real, score=None, entropy=None)
     assert all(np.abs(plans.action).max(axis=(1, 2)) <= 1)
     summarise(rows, 2)
