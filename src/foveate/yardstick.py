@@ -68,9 +68,9 @@ def floor(problem: Problem, horizons: Sequence[int]) -> Float[np.ndarray, " epis
     return np.asarray(unseen, float)[np.asarray(horizons) - 1]
 
 
-def closeness(score: float, floor: float, omniscient: float) -> float:
-    """How far a score gets from never seeing anything (0) to knowing the future (1)."""
-    return (score - floor) / (omniscient - floor)
+def closeness(value: float, lowest: float, highest: float) -> float:
+    """How far a score gets from the floor, never seeing anything (0), to the omniscient planner's (1)."""
+    return (value - lowest) / (highest - lowest)
 
 
 def omniscient(
@@ -110,8 +110,9 @@ def _worth(problem: Problem, futures: Future, action, level: Softness | None) ->
 def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
     """Rows of the plans, driven in the real world; score and entropy are those of `Plans.score`.
 
-    Under `true` the two scores are the same, as what is seen depends on true positions alone; under `surrogate`
-    the filter that really runs weighs its noisy means, which the planner that feels no noise does not know.
+    Under `true` the two scores are the same, as what is seen depends on true positions alone (as long as V does not
+    grow with the believed range); under `surrogate` the filter that really runs weighs its noisy means, which the
+    planner that feels no noise does not know.
     """
     trace = _drive(suite.problem, jnp.asarray(plans.action), suite.episodes, PROTOCOLS[protocol], policy_keys(suite))
     horizons = np.asarray(suite.episodes.horizon)

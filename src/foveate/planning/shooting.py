@@ -62,7 +62,7 @@ OMNISCIENT = {
 }
 """The best that was found for each protocol's score, with all inputs known."""
 ONLINE = {
-    "surrogate": PlanSettings(starts=1, iterations=30, first=(4.0, 0.8), last=PAPER, keep=PAPER),
+    "surrogate": PlanSettings(starts=1, iterations=30, learning_rate=0.1, last=PAPER, keep=PAPER),
     "true": PlanSettings(
         starts=1, iterations=30, learning_rate=0.03, first=(1.0, 0.4), last=(0.0, 0.25), keep=(0.0, 0.25)
     ),
