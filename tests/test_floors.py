@@ -16,8 +16,14 @@ FLOORS = [
         *("problem", "agent_settings", "view_settings", "target_settings", "scenario"),
         *("scenes", "rollout", "episodes", "lifting", "environment"),
     ],
-    ["policies.inputs", "policies.attention", "policies.handmade", "planning.shooting"],
-    ["settings", "checkpoint", "evaluation", "poses", "film", "recorded", "motion_fit", "fit", "replay"],
+    [
+        *("policies.inputs", "policies.attention", "policies.handmade"),
+        *("planning.information", "planning.tours", "planning.shooting", "planning.receding"),
+    ],
+    [
+        *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
+        *("recorded", "motion_fit", "fit", "replay"),
+    ],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
     [
         "drawing",

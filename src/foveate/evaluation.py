@@ -1,9 +1,10 @@
 """How well a policy did, honestly: every method on the same scenes, the same noise, under both protocols."""
 
 import math
+import os
 import time
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -111,37 +112,67 @@ def _keys(key, names, runs):
     return jax.vmap(lambda name, run: jax.random.fold_in(jax.random.fold_in(key, name), run))(names, runs)
 
 
-def simulate(suite: Suite, policy: Policy, protocol: Protocol) -> Trace:
-    """Every episode of the suite; a leading axis of episodes, as numpy arrays."""
-    count = len(suite.scenes) * suite.episodes_per_scene
+def policy_keys(suite: Suite) -> jax.Array:
+    """The key of a policy's own chance in every episode."""
     names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
-    runs = np.arange(count) % suite.episodes_per_scene
-    keys = _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
+    runs = np.arange(len(names)) % suite.episodes_per_scene
+    return _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
+
+
+def simulate(
+    suite: Suite,
+    policy: Policy,
+    protocol: Protocol,
+    chunk: int = CHUNK,
+    report: Callable[[int], None] = lambda done: None,
+) -> Trace:
+    """Every episode of the suite; a leading axis of episodes, as numpy arrays.
+
+    `chunk` episodes run in one program, and as many of these as there are cores side by side; `report` is called
+    with the number of episodes that are done.
+    """
+    count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
+
+    def run(first: int) -> Trace:
+        rows = np.minimum(np.arange(first, first + chunk), count - 1)
+        trace = _run(suite.problem, policy, jax.tree.map(lambda x: x[rows], suite.episodes), protocol, keys[rows])
+        return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
+
     parts = []
-    for first in range(0, count, CHUNK):
-        rows = np.minimum(np.arange(first, first + CHUNK), count - 1)
-        trace = _run(suite.problem, policy, jax.tree.map(lambda x, r=rows: x[r], suite.episodes), protocol, keys[rows])
-        parts.append(jax.tree.map(lambda x, n=count - first: np.asarray(x)[:n], trace))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for part in pool.map(run, range(0, count, chunk)):
+            parts.append(part)
+            report(min(count, chunk * len(parts)))
     return jax.tree.map(lambda *pieces: np.concatenate(pieces), *parts)
 
 
-def decision_time(problem: Problem, policy: Policy, episode: Episode, repeats: int = 30) -> float:
-    """Median time of one compiled decision for one agent [s], called alone and waited for."""
+def decision_time(
+    problem: Problem, policy: Policy, episode: Episode, repeats: int = 30, with_start: bool = False
+) -> float:
+    """Median time of one compiled decision for one agent [s], called alone and waited for.
+
+    `with_start` adds each decision's share of the policy's start, for those that think there.
+    """
     steps = jax.tree.map(lambda x: x[0], episode.inputs)
     predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), steps)
     observation, key = observe(predicted, steps), jax.random.key(0)
-    memory = policy.start(observation)
     arrays, static = eqx.partition(policy, eqx.is_array)
+    begin = jax.jit(lambda arrays, observation: eqx.combine(arrays, static).start(observation))
+    decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen))
+    memory = begin(arrays, observation)
+    decision = _median_time(lambda: decide(arrays, observation, memory, key), repeats)
+    if not with_start:
+        return decision
+    return decision + _median_time(lambda: begin(arrays, observation), repeats) / int(episode.horizon)
 
-    @jax.jit
-    def decide(arrays, observation, memory, key):
-        return eqx.combine(arrays, static)(observation, memory, key)
 
-    jax.block_until_ready(decide(arrays, observation, memory, key))
+def _median_time(call: Callable[[], Any], repeats: int) -> float:
+    """Median wall time of a call that is waited for [s], after one that does not count."""
+    jax.block_until_ready(call())
     times = []
     for _ in range(repeats):
         began = time.perf_counter()
-        jax.block_until_ready(decide(arrays, observation, memory, key))
+        jax.block_until_ready(call())
         times.append(time.perf_counter() - began)
     return float(np.median(times))
 
@@ -152,25 +183,34 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
     with ThreadPoolExecutor() as pool:  # compilation, most of the wait, runs side by side
         traces = list(pool.map(lambda name: simulate(suite, policy, PROTOCOLS[name]), protocols))
     step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
+    times = [step_time] * len(suite.truth.state)
+    return [
+        row
+        for protocol, trace in zip(protocols, traces, strict=True)
+        for row in rows_of(suite, method, protocol, trace, times)
+    ]
+
+
+def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
+    """One row an episode of what happened to a method, whose decisions took `step_times` [s] in each episode."""
     truth = np.asarray(suite.truth.state)
     rows = []
-    for protocol, trace in zip(protocols, traces, strict=True):
-        for i in range(len(truth)):
-            scene = suite.scenes[i // suite.episodes_per_scene]
-            measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
-            rows.append(
-                Row(
-                    scene=scene.id,
-                    episode=i % suite.episodes_per_scene,
-                    seed=suite.seed,
-                    method=method,
-                    protocol=protocol,
-                    motion=scene.motion,
-                    targets=len(scene.targets),
-                    step_time_s=step_time,
-                    **measures,
-                )
+    for i, step_time in enumerate(step_times):
+        scene = suite.scenes[i // suite.episodes_per_scene]
+        measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
+        rows.append(
+            Row(
+                scene=scene.id,
+                episode=i % suite.episodes_per_scene,
+                seed=suite.seed,
+                method=method,
+                protocol=protocol,
+                motion=scene.motion,
+                targets=len(scene.targets),
+                step_time_s=step_time,
+                **measures,
             )
+        )
     return rows
 
 

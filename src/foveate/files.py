@@ -8,6 +8,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 
+def cache_folder(name: str) -> Path:
+    """Where things that can be made again are kept for this user: foveate/`name` in the cache folder of the system."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foveate" / name
+
+
 def file_error(path: str | Path, problem: str) -> ValueError:
     """The error about a file or a place in it, as one line that starts with its name."""
     return ValueError(" ".join(f"{path}: {problem}".splitlines()))

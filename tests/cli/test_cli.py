@@ -61,7 +61,7 @@ def test_help_needs_no_jax_and_names_every_command() -> None:
     code = "import sys\nfrom foveate.cli.main import main\ntry: main(['--help'])\nfinally: print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("False")
-    for command in ("train", "evaluate", "fit", "replay", "render"):
+    for command in ("train", "evaluate", "plan", "fit", "replay", "render"):
         assert command in done.stdout
 
 
@@ -90,6 +90,61 @@ def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path) 
     assert {cell["motion"] for cell in data["summary"]} == {"biased"}
     check_contract("evaluate", out)
     check_contract("scenes", again)
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One scene of two targets, three steps long."""
+    path = tmp_path_factory.mktemp("scenes") / "scenes.json"
+    row = {"id": "two", "agent": [0, 0, 0.5], "targets": [[3, 1], [-5, 2]], "horizon": 3}
+    path.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("options", "method"),
+    [
+        (("--omniscient", "--starts", "4", "--iterations", "5"), "omniscient"),
+        (("--open-loop", "--starts", "2", "--iterations", "2", "--episodes", "2"), "icr-2-open"),
+        (("--refine", "2"), "refine-2"),
+    ],
+)
+def test_plan_writes_rows_that_keep_the_contract(
+    options: tuple[str, ...], method: str, run: Path, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    out = tmp_path / "out.json"
+    arguments = ["plan", "--scenes", str(scenes), "--run", str(run), *options, "--protocol", "true", "--json", str(out)]
+    assert main(arguments) == 0
+    rows = json.loads(out.read_text())["rows"]
+    assert {row["method"] for row in rows} == {method}
+    assert {row["protocol"] for row in rows} == {"true"}
+    assert all(row["step_time_s"] > 0 for row in rows)
+    check_contract("evaluate", out)
+    if method == "omniscient":
+        assert len(list((tmp_path / "cache" / "foveate" / "plans").iterdir())) == 1
+        first = out.read_bytes()
+        assert main(arguments) == 0
+        assert out.read_bytes() == first
+
+
+def test_plan_refuses_what_does_not_fit(
+    run: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = ("plan", "--scenes", str(scenes))
+    assert "--starts 0: expected >= 1" in failure(capsys, *plan, "--starts", "0")
+    assert "--iterations 0" in failure(capsys, *plan, "--iterations", "0")
+    assert "--window 0" in failure(capsys, *plan, "--window", "0")
+    assert "--episodes 0" in failure(capsys, *plan, "--episodes", "0")
+    assert "give --run RUN" in failure(capsys, *plan, "--refine", "3")
+    assert "--refine 0" in failure(capsys, *plan, "--run", str(run), "--refine", "0")
+    assert "no other option" in failure(capsys, *plan, "--run", str(run), "--refine", "3", "--starts", "2")
+    assert "--omniscient" in failure(capsys, *plan, "--omniscient", "--open-loop")
+    assert "give one of them" in failure(capsys, *plan, "--run", str(run), "--config", str(run / "config.toml"))
+    assert "presets are paper" in failure(capsys, *plan, "--preset", "nobody")
+    assert "nowhere" in failure(capsys, *plan, "--run", str(tmp_path / "nowhere"))
+    assert "no such file" in failure(capsys, "plan", "--scenes", str(tmp_path / "missing.json"))
+    assert "is an input" in failure(capsys, *plan, "--json", str(scenes))
 
 
 def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> None:

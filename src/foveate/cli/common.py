@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from foveate.evaluation import Summary
     from foveate.problem import Policy
     from foveate.scenes import Scene
     from foveate.settings import Experiment
@@ -20,9 +21,10 @@ def keep_compiled() -> None:
     run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place."""
     import jax
 
+    from foveate.files import cache_folder
+
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "foveate" / "jax"))
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
@@ -87,6 +89,12 @@ def check_seed(seed: int, name: str = "--seed") -> None:
         raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
+def check_least(name: str, value: int | None, least: int) -> None:
+    """Raise ValueError for an option that is given and too small."""
+    if value is not None and value < least:
+        raise ValueError(f"{name} {value}: expected >= {least}")
+
+
 def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -> None:
     """Raise ValueError now, not after minutes of work, where a result could not be written or would hit an input."""
     if path is None:
@@ -113,6 +121,30 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     # Not a terminal: no colours, and as wide as the table needs.
     console = Console() if sys.stdout.isatty() else Console(width=160, no_color=True)
     console.print(table)
+
+
+def print_summary(title: str, episodes: int, summary: "Sequence[Summary]") -> None:
+    """The table of an evaluation."""
+    header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "rmse [m]")
+    print_table(
+        f"{title}: score per target [nat], {episodes} episode(s) a scene",
+        (*header, "nees (band)"),
+        [
+            (
+                cell.method,
+                cell.protocol,
+                cell.motion,
+                str(cell.targets),
+                f"{cell.mean:.2f}",
+                f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
+                f"{cell.std:.2f}",
+                f"{cell.seen_fraction:.0%}",
+                f"{cell.rmse_m:.2f}",
+                f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
+            )
+            for cell in summary
+        ],
+    )
 
 
 class Bar:

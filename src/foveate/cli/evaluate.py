@@ -40,12 +40,13 @@ class Evaluate:
         """Evaluate, print the summary, write the files."""
         from foveate.cli.common import (
             Bar,
+            check_least,
             check_methods,
             check_output,
             check_seed,
             experiment_of,
             policy_of,
-            print_table,
+            print_summary,
             scenes_of,
         )
         from foveate.configuration import digest
@@ -56,8 +57,7 @@ class Evaluate:
         methods = check_methods(self.method)
         for path in (self.json, self.write_scenes):
             check_output(path, *([self.scenes] if self.scenes else []))
-        if self.episodes < 1:
-            raise ValueError(f"--episodes {self.episodes}: expected >= 1")
+        check_least("--episodes", self.episodes, 1)
         check_seed(self.seed)
         check_seed(self.scene_seed, "--scene-seed")
         experiment = experiment_of(self.run)
@@ -72,36 +72,7 @@ class Evaluate:
                 bar.update(done, name)
                 rows += evaluate(suite, name, policy, protocols)
         summary = summarise(rows, problem.motion.state_size)
-        print_table(
-            f"{self.run} on {chosen}: score per target [nat], {self.episodes} episode(s) a scene",
-            (
-                "method",
-                "protocol",
-                "motion",
-                "targets",
-                "score",
-                "95 % interval",
-                "std",
-                "seen",
-                "rmse [m]",
-                "nees (band)",
-            ),
-            [
-                (
-                    cell.method,
-                    cell.protocol,
-                    cell.motion,
-                    str(cell.targets),
-                    f"{cell.mean:.2f}",
-                    f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
-                    f"{cell.std:.2f}",
-                    f"{cell.seen_fraction:.0%}",
-                    f"{cell.rmse_m:.2f}",
-                    f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
-                )
-                for cell in summary
-            ],
-        )
+        print_summary(f"{self.run} on {chosen}", self.episodes, summary)
         if self.json is not None:
             facts = {"run": self.run, "scenes": chosen, "experiment": digest(experiment)}
             write_json(self.json, result(rows, summary, facts))

@@ -11,6 +11,7 @@ import tyro
 from foveate.cli.common import keep_compiled
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.fit import Fit
+from foveate.cli.plan import Plan
 from foveate.cli.render import Render
 from foveate.cli.replay import Replay
 from foveate.cli.train import Train
@@ -29,7 +30,14 @@ def _command(kind: type, name: str) -> Any:
     return Annotated[kind, tyro.conf.subcommand(name, description=kind.__doc__)]
 
 
-COMMANDS = {"train": Train, "evaluate": Evaluate, "fit": Fit, "replay": Replay, "render": Render}
+COMMANDS = {
+    "train": Train,
+    "evaluate": Evaluate,
+    "plan": Plan,
+    "fit": Fit,
+    "replay": Replay,
+    "render": Render,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

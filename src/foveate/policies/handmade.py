@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from foveate.linalg import log_det_spd
 from foveate.problem import Observation, Policy, Problem
-from foveate.types import Action, Flag, Key, Point
+from foveate.types import Action, Flag, Key, Point, Scalar
 
 LANES = 6
 """Lanes of the lawnmower; an even number, so that the sweep ends where it can begin again."""
@@ -52,12 +52,12 @@ class Steering(Policy):
         agent = self.problem.agent
         point = agent.space.to_body(observation.pose, goal_world)
         tau = self.problem.at(observation.step).tau
-        there = agent.action(_twist_towards(point, self.standoff_m, tau)[jnp.array(agent.axes)])
+        there = agent.action(twist_towards(point, self.standoff_m, tau)[jnp.array(agent.axes)])
         rest = agent.action(jnp.zeros_like(agent.lower))
         return jnp.where(exists, there, rest), memory
 
 
-def _twist_towards(point_body: Point, standoff_m: float, tau: Float[Array, ""]) -> Float[Array, " n_u"]:
+def twist_towards(point_body: Point, standoff_m: float | Scalar, tau: Float[Array, ""]) -> Float[Array, " n_u"]:
     """The twist that would face a body-frame point, and end `standoff_m` before it, after one period."""
     across = jnp.hypot(point_body[0], point_body[1])
     bearing = jnp.arctan2(point_body[1], point_body[0])

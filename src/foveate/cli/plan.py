@@ -1,0 +1,171 @@
+"""`foveate plan`."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from foveate.evaluation import Row
+    from foveate.planning.shooting import PlanSettings
+    from foveate.problem import Policy
+    from foveate.scenes import Scene
+    from foveate.settings import Experiment
+
+
+@dataclass(kw_only=True)
+class Plan:
+    """Plan by gradient ascent on the controls, where a policy would decide.
+
+    By default iCR as published, in receding horizon: at every step a new plan on the current belief, from the last
+    one, at first straight ahead, under the paper's soft view; its first action is done. --open-loop: one plan, at the
+    start. --starts N: better plans, also from tours of the targets, under a view that hardens on the way.
+    --omniscient: the yardstick, which knows every future input and the true positions and feels no noise; its plans
+    are kept in the user's cache folder. --run RUN --refine N: a trained policy's own sequence, improved by N steps at
+    every decision. Rows and table are those of foveate evaluate, the scenes and the noise too.
+
+      foveate plan --scenes table1 --omniscient
+      foveate plan --scenes table1 --starts 16 --protocol true --json plan.json
+      foveate plan --scenes table1 --run runs/first --refine 10
+    """
+
+    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    """Scenes file; or table1, the paper's six cells of 30 scenes; or own, 30 scenes for each of three numbers of
+    targets from the scenario's own distribution (default: table1 in the plane, own in space)."""
+    scene_seed: int = 2023
+    """Seed of the scenes of table1 or own; table1 proper is the default."""
+    preset: Annotated[str, tyro.conf.arg(metavar="NAME")] = "paper"
+    """Whose world to plan in."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """Experiment in place of a preset."""
+    run: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
+    """Run folder of foveate train: its world, and with --refine its policy."""
+    refine: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps of ascent from what the policy of --run would do."""
+    omniscient: bool = False
+    """Know the future."""
+    open_loop: bool = False
+    """Plan once, at the start."""
+    starts: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Sequences to begin from (default: as published; omniscient: 64)."""
+    iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps of ascent of each (default: 30 a decision, as published 100; omniscient or open loop: 300)."""
+    window: Annotated[int, tyro.conf.arg(metavar="K")] = 30
+    """Most steps that a plan at every step looks ahead; the end of the episode is known."""
+    protocol: Literal["surrogate", "true", "both"] = "both"
+    """How information is counted, and so what is planned for."""
+    episodes: int = 1
+    """Noise draws per scene."""
+    seed: int = 0
+    """Seed of the noise."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write rows and summary for programs."""
+
+    def run_command(self) -> int:
+        """Plan, print the summary, write the file."""
+        from foveate.cli.common import Bar, check_output, check_seed, print_summary, scenes_of
+        from foveate.configuration import digest
+        from foveate.evaluation import result, summarise
+        from foveate.files import write_json
+
+        check_output(self.json, *([self.scenes] if self.scenes else []))
+        check_seed(self.seed)
+        check_seed(self.scene_seed, "--scene-seed")
+        self._check_options()
+        experiment = self._experiment()
+        chosen, scenes = scenes_of(self.scenes, self.scene_seed, experiment)
+        protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
+        rows = []
+        with Bar("planning", len(scenes) * self.episodes * len(protocols), "episodes") as bar:
+            for protocol in protocols:
+                before = len(rows)
+                rows += self._rows(experiment, scenes, protocol, lambda done, b=before: bar.update(b + done))
+        summary = summarise(rows, experiment.scenario.problem().motion.state_size)
+        print_summary(f"plans on {chosen}", self.episodes, summary)
+        if self.json is not None:
+            facts = {"scenes": chosen, "experiment": digest(experiment)}
+            write_json(self.json, result(rows, summary, facts))
+        return 0
+
+    def _check_options(self) -> None:
+        """Raise ValueError where options are out of range, or say two things at once."""
+        from foveate.cli.common import check_least
+
+        check_least("--episodes", self.episodes, 1)
+        check_least("--starts", self.starts, 1)
+        check_least("--iterations", self.iterations, 1)
+        check_least("--refine", self.refine, 1)
+        check_least("--window", self.window, 1)
+        if self.run is not None and self.config is not None:
+            raise ValueError("--run and --config: a run plans in its own world; give one of them")
+        if self.refine is not None and self.run is None:
+            raise ValueError(f"--refine {self.refine}: whose policy? give --run RUN")
+        if self.omniscient and (self.open_loop or self.refine is not None):
+            raise ValueError("--omniscient: needs no --open-loop and no --refine: it knows the future")
+        if self.refine is not None and (self.open_loop or self.starts is not None or self.iterations is not None):
+            raise ValueError("--refine N: takes N steps from the policy's own sequence; no other option of plans fits")
+
+    def _experiment(self) -> "Experiment":
+        from foveate.cli.common import experiment_of
+        from foveate.configuration import load_toml
+        from foveate.settings import PRESETS, Experiment
+
+        if self.config is not None:
+            return load_toml(Experiment, self.config)
+        if self.run is not None:
+            return experiment_of(str(self.run))
+        if self.preset not in PRESETS:
+            raise ValueError(f"--preset {self.preset}: presets are {', '.join(PRESETS)}")
+        return PRESETS[self.preset]
+
+    def _rows(self, experiment: "Experiment", scenes: "list[Scene]", protocol: str, report) -> "list[Row]":
+        from foveate.checkpoint import load_run
+        from foveate.evaluation import prepare
+        from foveate.files import cache_folder
+        from foveate.planned import planner, planner_rows
+        from foveate.planning.receding import OpenLoop
+        from foveate.yardstick import omniscient, omniscient_rows
+
+        problem, settings = experiment.scenario.problem(), self._settings(protocol)
+        chance = (self.seed, self.episodes)
+        if self.omniscient:
+            suite = prepare(problem, experiment.scenario.scenes, scenes, *chance)
+            return omniscient_rows(
+                suite, protocol, omniscient(suite, protocol, settings, cache_folder("plans"), report)
+            )
+        policy = None if self.refine is None or self.run is None else load_run(self.run)[1]
+
+        def policy_of(horizon: int) -> "Policy":
+            return (
+                OpenLoop(problem, settings, horizon)
+                if self.open_loop
+                else planner(problem, settings, horizon, self.window, policy)
+            )
+
+        return planner_rows(
+            problem, experiment.scenario.scenes, scenes, self._name(), policy_of, protocol, *chance, report
+        )
+
+    def _settings(self, protocol: str) -> "PlanSettings":
+        from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED
+
+        settings = OMNISCIENT[protocol] if self.omniscient else ONLINE[protocol]
+        if self.starts is None and self.refine is None and not self.omniscient:
+            settings = PUBLISHED
+        if self.open_loop:
+            settings = replace(settings, iterations=OMNISCIENT[protocol].iterations)
+        if self.refine is not None:  # from what the policy would do, and from the last plan
+            return replace(settings, starts=2, iterations=self.refine)
+        if self.starts is not None:
+            settings = replace(settings, starts=self.starts)
+        if self.iterations is not None:
+            settings = replace(settings, iterations=self.iterations)
+        return settings
+
+    def _name(self) -> str:
+        """The method's name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-10."""
+        if self.refine is not None:
+            return f"refine-{self.refine}"
+        many = "" if self.starts is None else f"-{self.starts}"
+        return f"icr{many}{'-open' * self.open_loop}"

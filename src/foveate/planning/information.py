@@ -1,0 +1,106 @@
+"""What a sequence of actions is worth: the noise-free information recursion along its path, and its gradient.
+
+The same model as `rollout` (agent, view, sensor, belief), without what a planner does not need: no policy, no noise,
+and, as the targets' future does not depend on the agent, no means. The gradient of the recursion is written by hand
+(proposition 1 of the paper, in reverse): one pass with one matrix a step to remember.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.linalg import inverse_spd, log_det_spd, multiply, symmetrise
+from foveate.models import belief
+from foveate.models.sensor import Softness, detection_weight
+from foveate.models.target import LinearGaussian
+from foveate.problem import Problem
+from foveate.types import Count, Pose
+
+
+class Future(eqx.Module):
+    """What a plan is made for, as it is known or guessed before the first of its steps.
+
+    `state` holds where the targets will be after each step, `information` the predicted P_1 of the first. Only the
+    first `horizon` steps count.
+    """
+
+    pose: Pose
+    state: Float[Array, "K n n_y"]
+    information: Float[Array, "n n_y n_y"]
+    present: Bool[Array, " n"]
+    horizon: Count
+
+
+def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Float[Array, ""]:
+    """log det Y at the horizon, the mean over targets [nat], under a soft view, or, without a level, the real one."""
+    log_det = final_log_det(problem, future, action, level)
+    total = jnp.sum(jnp.where(future.present, log_det, 0.0))
+    return total / jnp.maximum(jnp.sum(future.present), 1)
+
+
+def final_log_det(
+    problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
+) -> Float[Array, " n"]:
+    """log det Y at the horizon of every target. Raises ValueError for a problem that changes from step to step."""
+    if problem.schedule is not None:
+        raise ValueError("the scenario has a schedule: plans know steps of one kind only: leave [schedule] out")
+    agent, sensor = problem.agent, problem.sensor
+
+    def move(pose, action):
+        pose = agent.move(pose, action, problem.tau)
+        return pose, pose
+
+    def look(pose, state):
+        rotation = agent.space.rotation(pose)
+        points_body = agent.space.to_body(pose, problem.motion.position(state))
+        gain = jax.vmap(lambda point: sensor.information(sensor.covariance(rotation, point)))(points_body)
+        distance = sensor.view.signed_distance(points_body)
+        return gain, (distance <= 0).astype(gain.dtype) if level is None else detection_weight(distance, level)
+
+    poses = jax.lax.scan(move, future.pose, action)[1]
+    gain, weight = jax.vmap(look)(poses, future.state)
+    counts = jnp.arange(len(action)) < future.horizon
+    added = jnp.where(counts[:, None, None, None], weight[..., None, None] * gain, 0.0)
+    return _log_det_after(future.information, added, counts, problem.motion)
+
+
+@jax.custom_vjp
+def _log_det_after(
+    information: Float[Array, "n n_y n_y"],
+    added: Float[Array, "K n n_y n_y"],
+    counts: Bool[Array, " K"],
+    motion: LinearGaussian,
+) -> Float[Array, " n"]:
+    """log det Y_K of Y_1 = P_1 + M_1, Y_{k+1} = (A Y_k^-1 A^T + W)^-1 + M_{k+1}; steps that do not count are left out.
+
+    Differentiable in `added`, the M_k, only. With G_k = P_{k+1} A Y_k^-1, dP_{k+1} = G_k dY_k G_k^T, and so the
+    derivative by M_k is L_k, L_K = Y_K^-1, L_k = G_k^T L_{k+1} G_k.
+    """
+    return _forward(information, added, counts, motion)[0]
+
+
+def _forward(information, added, counts, motion):
+    def step(Y, x):
+        more, count = x
+        P = jax.vmap(lambda one: belief.predict_information(one, motion))(Y)
+        G = multiply(P, multiply(motion.A, inverse_spd(Y)))
+        return jnp.where(count, P + more, Y), G
+
+    Y, G = jax.lax.scan(step, information + added[0], (added[1:], counts[1:]))
+    return log_det_spd(Y), (Y, G, counts)
+
+
+def _backward(kept, cotangent):
+    Y, G, counts = kept
+
+    def step(L, x):
+        G, count = x
+        before = symmetrise(multiply(multiply(jnp.swapaxes(G, -1, -2), L), G))
+        return jnp.where(count, before, L), L
+
+    first, later = jax.lax.scan(step, cotangent[:, None, None] * inverse_spd(Y), (G, counts[1:]), reverse=True)
+    return None, jnp.concatenate([first[None], later]), None, None
+
+
+_log_det_after.defvjp(_forward, _backward)
