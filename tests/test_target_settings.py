@@ -44,6 +44,28 @@ def test_integrators_are_van_loan_s(order, dimension):
         np.testing.assert_array_equal(Z, np.eye(dimension, order * dimension))
 
 
+@pytest.mark.parametrize("memory", [0.03, 0.5, 4.0, 1e7])
+def test_velocities_that_are_forgotten(memory):
+    """Van Loan's exponential with a velocity that decays; with a long memory the chain of integrators."""
+    density = np.array(Q)
+    target = VelocityTarget(kind="constant_velocity", Q=Q, memory_s=memory)
+    eye, nothing = np.eye(3), np.zeros((3, 3))
+    F = np.block([[nothing, eye], [nothing, -eye / memory]])
+    L = np.concatenate([nothing, eye])
+    for tau in (0.1, 0.5):
+        A, B, W, _ = target.motion(3, tau)
+        block = expm(tau * np.block([[-F, L @ density @ L.T], [np.zeros((6, 6)), F.T]]))
+        held = expm(tau * np.block([[F, L], [np.zeros((3, 9))]]))
+        np.testing.assert_allclose(A, block[6:, 6:].T, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(B, held[:6, 6:], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(W, block[6:, 6:].T @ block[:6, 6:], rtol=1e-7, atol=1e-12)
+    if memory == 1e7:
+        for ours, chain in zip(target.motion(3, 0.5), integrators(2, 0.5, density), strict=True):
+            np.testing.assert_allclose(ours, chain, rtol=1e-6, atol=1e-9)
+    with pytest.raises(ValueError, match="memory_s"):
+        target.motion(3, 21 * memory)
+
+
 def test_what_each_kind_believes_at_first_and_where_it_takes_a_drift():
     velocity = VelocityTarget(kind="constant_velocity", initial_variance_m2=3.0, initial_velocity_variance_m2_s2=0.5)
     np.testing.assert_array_equal(np.diag(velocity.prior_covariance(2)), [3.0, 3.0, 0.5, 0.5])

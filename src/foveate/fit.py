@@ -93,10 +93,15 @@ def _in_the_plane(statistics: MotionStatistics, robot: Robot, goal: Literal["see
 
 
 def _in_space(statistics: MotionStatistics, robot: Robot, goal: Literal["seen", "information"]) -> Experiment:
-    """Targets of nearly constant velocity, driven by white noise of the recording's accelerations."""
+    """Velocities driven by white noise of the recording's accelerations, and forgotten as its speeds stay bounded.
+
+    A speed of stationary second moment s^2 under noise of density q has a memory of 2 s^2 / q.
+    """
     depth, d = robot.depth_m, len(statistics.robust_lower_m)
-    density = statistics.acceleration_intensity
     square_speed = float(np.trace(statistics.walk_covariance_m2)) / statistics.tau_s**2
+    density = statistics.acceleration_intensity
+    if density is None:  # too short a recording to tell: a speed that is lost within 2 s
+        density = square_speed / d * np.eye(d)
     scenario = Scenario(
         tau_s=statistics.tau_s,
         agent=Quadrotor(
@@ -115,15 +120,13 @@ def _in_space(statistics: MotionStatistics, robot: Robot, goal: Literal["seen", 
         sensor=SensorSettings(std_m=robot.std_m),
         target=VelocityTarget(
             kind="constant_velocity",
-            # Too short a recording says nothing of accelerations: a speed that is lost within 2 s or so.
-            Q=_rows(square_speed / d / 2.0 * np.eye(d) if density is None else density),
+            Q=_rows(density),
+            memory_s=max(2 * square_speed / float(np.trace(density)), statistics.tau_s),
             initial_variance_m2=1.0,
             initial_velocity_variance_m2_s2=square_speed / d,
         ),
-        # Any number of targets up to the most: what was there at once is a sample. Fast ones are lost within seconds.
-        scenes=replace(
-            _scenes(statistics, turnover=True), targets_min=1, steps=max(10, round(10.0 / statistics.tau_s))
-        ),
+        # Any number of targets up to the most: what was there at once is a sample.
+        scenes=replace(_scenes(statistics, turnover=True), targets_min=1, process_noise=True),
     )
     training = TrainingSettings(
         epochs=600,

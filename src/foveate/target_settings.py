@@ -37,6 +37,27 @@ def integrators(order: int, tau_s: float, intensity: np.ndarray) -> Motion:
     return np.kron(A, eye), np.kron(B, eye), np.kron(W, intensity), np.eye(d, order * d)
 
 
+def forgetful(tau_s: float, memory_s: float, intensity: np.ndarray) -> Motion:
+    """A velocity that decays as exp(-t / memory_s) and is driven by white noise: the integrated Ornstein-Uhlenbeck
+    process, exactly (but for rounding, while tau is below 20 times the memory).
+
+    With the response phi(s) = (memory (1 - exp(-s / memory)), exp(-s / memory)) of position and velocity to an impulse
+    of acceleration s ago, B = int_0^tau phi ds and W = int_0^tau phi phi^T ds: by Gauss and Legendre, which does not
+    cancel where the memory is long.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    weights = 0.5 * tau_s * weights
+
+    def response(s: np.ndarray) -> np.ndarray:
+        return np.stack([-memory_s * np.expm1(-s / memory_s), np.exp(-s / memory_s)])
+
+    phi = response(0.5 * tau_s * (nodes + 1.0))
+    eye, d = np.eye(len(intensity)), len(intensity)
+    A = np.column_stack([[1.0, 0.0], response(np.asarray(tau_s))])
+    B, W = (phi @ weights)[:, None], (phi * weights) @ phi.T
+    return np.kron(A, eye), np.kron(B, eye), np.kron(W, intensity), np.eye(d, 2 * d)
+
+
 @dataclass(frozen=True, kw_only=True)
 class StaticTarget:
     """A target that stays where it is: y' = y. It has no place for a drift."""
@@ -89,17 +110,22 @@ class DriftTarget:
 class VelocityTarget:
     """Nearly constant velocity: y = (position, velocity), acceleration is white noise.
 
-    Its spectral density is `acceleration_m2_s3` [m^2/s^3] on each axis, or the matrix `Q`. A target's drift is its
-    first velocity; the known input is an acceleration [m/s^2].
+    Its spectral density is `acceleration_m2_s3` [m^2/s^3] on each axis, or the matrix `Q`. With `memory_s` the velocity
+    is forgotten within about that time, as by targets that turn and circle: one that is lost is then believed to have
+    stayed about, not to have gone straight on for ever. A target's drift is its first velocity; the known input is an
+    acceleration [m/s^2].
     """
 
     kind: Literal["constant_velocity"]
     acceleration_m2_s3: float = 0.1
     Q: Matrix | None = None
+    memory_s: float | None = None
     initial_variance_m2: float = 2.0
     initial_velocity_variance_m2_s2: float = 1.0
 
     def __post_init__(self) -> None:
+        if self.memory_s is not None:
+            positive(self, "memory_s")
         not_negative(self, "acceleration_m2_s3")
         positive(self, "initial_variance_m2", "initial_velocity_variance_m2_s2")
         if self.Q is not None:
@@ -107,7 +133,11 @@ class VelocityTarget:
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
         """A, B, W, Z."""
-        return integrators(2, tau_s, _density(self.acceleration_m2_s3, self.Q, dimension))
+        density = _density(self.acceleration_m2_s3, self.Q, dimension)
+        if self.memory_s is None:
+            return integrators(2, tau_s, density)
+        require(tau_s < 20 * self.memory_s, "memory_s", self.memory_s, f"expected > tau / 20 = {tau_s / 20:g}")
+        return forgetful(tau_s, self.memory_s, density)
 
     def prior_covariance(self, dimension: int) -> np.ndarray:
         """Covariance of the first belief [m^2, m^2/s^2]."""
