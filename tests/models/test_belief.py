@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 
 from foveate.models.belief import Belief, correct_mean, entropy, predict_information, update_information
 from foveate.models.target import LinearGaussian
+from foveate.target_settings import integrators
 
 SHAPES = [(1, 1, 1), (2, 1, 2), (3, 3, 1), (4, 2, 2), (5, 4, 3), (6, 3, 1)]
 """n_y, n_z, m_y."""
@@ -120,18 +121,21 @@ def long_run(motion, gain, prior, pattern):
     return jax.jit(lambda: jax.lax.scan(step, first, pattern))()
 
 
-@pytest.mark.parametrize("n_y", [2, 4])
+@pytest.mark.parametrize("n_y", [2, 4, 6, 9])
 def test_ten_thousand_steps_in_float32(n_y):
     """Never seen, always seen, seen at random: symmetric and positive definite all along, and the right values.
 
-    n_y = 2: the paper's numbers. n_y = 4: positions and velocities (period 0.1 s), which couple.
+    n_y = 2: the paper's numbers. Else positions with velocities (4 in the plane, 6 in space) and accelerations (9),
+    which couple, in steps of 0.1 s; velocities fade by 1 % a step, accelerations by 10 %, to stay in range.
     """
-    eye = np.eye(2)
+    d, order = (2, n_y // 2) if n_y <= 4 else (3, n_y // 3)
+    eye = np.eye(d)
     A, W = (eye, 0.05**2 * eye)
-    if n_y == 4:
-        A = np.block([[eye, 0.1 * eye], [0 * eye, 0.99 * eye]])
-        W = 0.3 * np.block([[eye * 0.1**3 / 3, eye * 0.1**2 / 2], [eye * 0.1**2 / 2, eye * 0.1]])
-    H = np.eye(2, n_y)
+    if order > 1:
+        fading = np.array([1.0, 0.99, 0.9])[:order]
+        a, _, w, _ = integrators(order, 0.1, 0.3 * np.eye(1))
+        A, W = np.kron(a * fading[:, None], eye), np.kron(w, eye)
+    H = np.eye(d, n_y)
     gain, prior = H.T @ H / 0.2**2, 0.5 * np.eye(n_y)
     seen = np.random.default_rng(0).random(10_000) < 0.1
     pattern = np.stack([np.zeros(10_000), np.ones(10_000), seen], axis=1)
