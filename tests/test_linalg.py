@@ -155,3 +155,24 @@ def test_vech_and_symmetrise(size):
     np.testing.assert_array_equal(packed, lower)
     np.testing.assert_array_equal(half, np.swapaxes(half, -1, -2))
     np.testing.assert_allclose(half, (matrix + np.swapaxes(matrix, -1, -2)) / 2, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "shapes", [((4, 3, 3), (3, 3)), ((2, 1, 6, 6), (5, 6, 2)), ((7, 3), (4, 3, 3)), ((0, 2, 2), (2, 2))]
+)
+def test_derivatives_of_products_are_those_of_matmul(shapes):
+    """First, second, forward and mapped, with batch axes that broadcast."""
+    rng = np.random.default_rng(len(shapes[0]))
+    a, b = (jnp.asarray(rng.normal(size=shape)) for shape in shapes)
+
+    def total(product):
+        return lambda a, b: jnp.sum(jnp.sin(product(a, b)))
+
+    def derivatives(product):
+        f = total(product)
+        first, second = jax.grad(f, (0, 1))(a, b), jax.jacfwd(jax.grad(f, 1), 1)(a, b)
+        mapped = jax.vmap(jax.grad(f, 1), (None, 0))(a, jnp.stack([b, 2 * b]))
+        return jax.tree.leaves((f(a, b), first, second, mapped))
+
+    for ours, theirs in zip(derivatives(multiply), derivatives(jnp.matmul), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-10)
