@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from matplotlib.text import Text
 from PIL import Image
 from scipy.linalg import expm
 from scipy.stats import chi2
@@ -32,7 +33,6 @@ def made_up(steps=4, n=3, seed=0, **changes) -> Film:
     truth = rng.uniform(-8, 8, (n, 2)) + rng.normal(0, 0.3, (steps + 1, n, 2)).cumsum(axis=0)
     values = {
         "title": "made up",
-        "tau_s": 0.5,
         "space": SPACES["planar"],
         "visible": rng.random((steps, n)) < 0.4,
         "log_det": rng.normal(3, 2, (steps, n)),
@@ -121,7 +121,7 @@ def test_times_that_do_not_fit_are_refused():
         dataclasses.replace(short, visible=np.zeros((4, 1), bool), log_det=np.zeros((4, 1)))
 
 
-@pytest.mark.parametrize("turn", [0.0, 1e-9, 0.7, -1.0471975511965976, 3.1, -3.1])
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 0.7, -1.0471975511965976, 3.1, -3.1, 5.0, -9.0])
 def test_arc_is_the_exponential_of_a_constant_twist(turn):
     v, w, start = np.array([1.3, -0.4]), turn, np.array([2.0, -1.0, 6.9])
 
@@ -383,3 +383,16 @@ def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
     file.write_text("")
     with pytest.raises(ValueError, match="no check in it yet"):
         figures.read_checks(file)
+
+
+def test_the_clock_and_the_timeline_follow_steps_of_any_length():
+    """A quarter of a second, then three: half way through the second step it is 1.75 s."""
+    film = made_up(2, 1, times_s=np.array([0.0, 0.25, 3.25]), visible=np.array([[False], [True]]))
+    figure = drawing.new_figure(9.0, 5.0, layout=None)
+    artists, show = animation._scene(figure, film, (900, 500))
+    show(SUBSTEPS + SUBSTEPS // 2)
+    assert any("t = 1.8 s" in text.get_text() for text in artists if isinstance(text, Text))
+    axes = drawing.new_figure(4.0, 3.0).subplots()
+    figures._timeline(axes, film, "policy")
+    spans = [path.get_extents() for collection in axes.collections for path in collection.get_paths()]
+    assert (0.25, 3.25) in [(round(box.x0, 6), round(box.x1, 6)) for box in spans]

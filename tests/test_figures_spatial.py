@@ -43,7 +43,6 @@ def made_up(steps=4, n=3, seed=0, **changes) -> Film:
         pose.append(pose[-1] @ expm(hat(rng.normal(0, 0.5, 6))))
     values = {
         "title": "made up",
-        "tau_s": 0.5,
         "space": SPACES["spatial"],
         "visible": rng.random((steps, n)) < 0.4,
         "log_det": rng.normal(3, 2, (steps, n)),

@@ -1,6 +1,7 @@
 """Small symmetric matrices against LAPACK through numpy, in float64 and float32, with their derivatives."""
 
 import functools
+import inspect
 
 import jax
 import jax.numpy as jnp
@@ -176,3 +177,10 @@ def test_derivatives_of_products_are_those_of_matmul(shapes):
 
     for ours, theirs in zip(derivatives(multiply), derivatives(jnp.matmul), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("rows", [2, 4, 7])
+def test_products_of_sizes_that_do_not_fit_are_refused(rows):
+    """Also where shapes are not checked, as they are while tests run: slices would be cut off or repeated."""
+    with pytest.raises(ValueError, match="as many columns as rows"):
+        inspect.unwrap(multiply)(jnp.ones((2, 3)), jnp.ones((rows, 3)))

@@ -1,6 +1,7 @@
 """Replay against brute force: a plain loop over instants, tracks and geometry."""
 
 import math
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +17,7 @@ from foveate.replay import (
     warnings_for,
 )
 from foveate.scenario import Scenario, SceneSettings, SensorSettings
-from foveate.target_settings import DriftTarget
+from foveate.target_settings import DriftTarget, LinearTarget
 from foveate.view_settings import SectorView
 
 DEPTH, ANGLE, TAU = 6.0, 90.0, 0.5
@@ -137,6 +138,24 @@ def test_warnings_say_what_contradicts(scenario, recording) -> None:
     said = " ".join(warnings_for(tight, recording, ready.slots, 2.0))
     assert "W claims" in said
     assert "at once" not in said
+
+
+def test_states_must_begin_with_the_position(scenario, tmp_path) -> None:
+    """Recorded positions would be taken for the velocities of a state that has them first."""
+    path = tmp_path / "walk.csv"
+    path.write_text("time_s,track_id,x_m,y_m\n0,a,1,2\n1,a,3,4\n")
+    eye, nothing = np.eye(2), np.zeros((2, 2))
+    backwards = LinearTarget(
+        kind="linear",
+        A=tuple(map(tuple, np.block([[eye, nothing], [0.5 * eye, eye]]).tolist())),
+        B=tuple(map(tuple, np.eye(4, 2).tolist())),
+        W=tuple(map(tuple, (0.1 * np.eye(4)).tolist())),
+        Z=tuple(map(tuple, np.eye(4)[2:].tolist())),
+        prior=tuple(map(tuple, np.eye(4).tolist())),
+    )
+    scenes = replace(scenario.scenes, drift_m_s=(0.0, 0.0))
+    with pytest.raises(ValueError, match=r"Z = \[I 0\]"):
+        prepare_replay(replace(scenario, target=backwards, scenes=scenes), load_recording(path), [0.0, 0.0, 0.0])
 
 
 def test_dimensions_must_agree(scenario, tmp_path) -> None:

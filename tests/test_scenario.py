@@ -99,6 +99,34 @@ BAD = {
         lambda: VelocityTarget(kind="constant_velocity", Q=((1.0, 2.0), (2.0, 1.0))),
         "no negative eigenvalue",
     ),
+    "V that float32 takes for singular": (
+        lambda: SensorSettings(V=((1.0, 1.0 - 1e-8), (1.0 - 1e-8, 1.0))),
+        "also in float32",
+    ),
+    "B not a number": (lambda: linear(B=((math.nan, 0.0), (0.0, 1.0))), "expected finite numbers"),
+    "A loses what a scheduled W does not restore": (
+        lambda: Scenario(
+            target=linear(A=((1.0, 0.0), (0.0, 0.0))),
+            schedule=ScheduleSettings(W=(((0.0, 0.0), (0.0, 0.0)),)),
+            scenes=SceneSettings(drift_m_s=(0.0, 0.0)),
+        ),
+        "target.A, schedule.W",
+    ),
+    "fading without noise": (
+        lambda: VelocityTarget(kind="constant_velocity", memory_s=1.0, acceleration_m2_s3=0.0),
+        "expected > 0 with memory_s",
+    ),
+    "a step far beyond the memory": (
+        lambda: Scenario(
+            target=VelocityTarget(kind="constant_velocity", memory_s=0.1), schedule=ScheduleSettings(tau_s=(1.0, 5.0))
+        ),
+        "memory_s = 0.1",
+    ),
+    "a drift through another B": (lambda: Scenario(target=linear(B=((0.1, 0.0), (0.0, 0.1)))), "Z = B = I"),
+    "a first error that would have to turn": (
+        lambda: Scenario(sensor=SensorSettings(frame="body", V=((1.0, 0.0), (0.0, 4.0)))),
+        "initial_error = 'paper'",
+    ),
     "process std": (lambda: DriftTarget(process_std_m=-0.1), "process_std_m = -0.1"),
     "first variance": (lambda: DriftTarget(initial_variance_m2=0.0), "initial_variance_m2 = 0.0"),
     "W negative": (lambda: DriftTarget(W=((1.0, 2.0), (2.0, 1.0))), "no negative eigenvalue"),
@@ -284,3 +312,8 @@ def test_every_command_reaches_its_axis_within_its_limits(name):
         for axis, both in limits.items():
             twist[axis] = both[side]
         np.testing.assert_allclose(agent.twist(jnp.full(len(limits), end)), twist, rtol=1e-12)
+
+
+def test_badly_scaled_covariances_are_fine_in_float32():
+    """A kilometre beside a millimetre: what scales the axes costs no digits."""
+    assert SensorSettings(V=((1e6, 0.0), (0.0, 1e-6))).V is not None

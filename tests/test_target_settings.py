@@ -9,7 +9,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import expm
 
 from foveate.agent_settings import DifferentialDrive, FreeBody
-from foveate.episodes import draw, draw_noise, draw_size, episode_of
+from foveate.episodes import draw, draw_noise, draw_size, episode_of, first_error
 from foveate.policies.handmade import Nearest
 from foveate.problem import Episode, Truth
 from foveate.rollout import TRUE, rollout
@@ -157,6 +157,14 @@ def test_scheduled_steps_move_agent_and_truth_for_as_long_as_they_last():
     for k in range(4):
         pose = drive.move(pose, jnp.ones(1), problem.at(jnp.asarray(k)).tau)
     np.testing.assert_allclose(pose[0, 3], 2.0 * elapsed[4], rtol=1e-12)
+
+
+def test_the_first_error_of_the_paper_has_the_first_v():
+    """25 m^2 at the first step: the first mean errs by 5 m, not by the sensor's own 0.2 m."""
+    scenario = Scenario(schedule=ScheduleSettings(V=(((25.0, 0.0), (0.0, 25.0)),)))
+    normal = jnp.asarray(np.random.default_rng(0).normal(size=(2000, 2)))
+    error = first_error(scenario.problem(), scenario.scenes, normal)
+    np.testing.assert_allclose(np.abs(error), 5.0 * np.abs(normal), rtol=1e-12)
 
 
 def test_a_known_drift_of_positions_is_scaled_by_each_step():

@@ -12,7 +12,7 @@ from foveate.evaluation import prepare, rows_of, simulate, summarise
 from foveate.planning.shooting import PAPER, PlanSettings
 from foveate.policies.handmade import handmade
 from foveate.rollout import TRUE
-from foveate.scenario import Scenario
+from foveate.scenario import Scenario, ScheduleSettings
 from foveate.scenes import Scene
 from foveate.yardstick import closeness, floor, omniscient, omniscient_rows
 
@@ -51,6 +51,9 @@ def plans(suite, cache):
 def test_floor_is_the_score_of_one_who_sees_nothing():
     covariance = 2.0 + 0.05**2 * np.array([3, 9, 21])
     np.testing.assert_allclose(floor(PROBLEM, [3, 9, 21]), -2 * np.log(covariance), rtol=1e-12)
+    growing = ScheduleSettings(W=(((1.0, 0.0), (0.0, 1.0)), ((3.0, 0.0), (0.0, 3.0))))
+    scheduled = replace(SCENARIO, schedule=growing).problem()
+    np.testing.assert_allclose(floor(scheduled, [1, 4]), -2 * np.log([2 + 1, 2 + 1 + 3 + 1 + 3]), rtol=1e-12)
     assert closeness(-1.4, -1.4, 8.0) == 0.0
     assert closeness(8.0, -1.4, 8.0) == 1.0
     assert closeness(3.3, -1.4, 8.0) == pytest.approx(0.5)

@@ -106,7 +106,8 @@ def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Arti
         k = moment // SUBSTEPS
         here = film.present[k]
         now = f"sees {(film.seen_at(k) & here).sum()} of {here.sum()} now"
-        clock.set_text(f"t = {moment / SUBSTEPS * film.tau_s:.1f} s: {now}")
+        time_s = np.interp(moment / SUBSTEPS, np.arange(film.steps + 1), film.times_s)
+        clock.set_text(f"t = {time_s:.1f} s: {now}")
 
     return [*stage.artists, *lines, clock], show
 
@@ -122,7 +123,7 @@ def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
     values = known[there]
     low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
     pad = 0.06 * (high - low) + 0.1
-    axes.set_xlim(0, max(film.times_s[-1], film.tau_s))
+    axes.set_xlim(0, film.times_s[-1] or 1.0)
     axes.set_ylim(low - pad, high + pad)
     axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
     axes.grid(color=PALE, lw=0.6)

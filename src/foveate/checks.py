@@ -28,6 +28,7 @@ def matrix(value: Matrix, name: str, shape: tuple[int | None, int | None]) -> np
     rows = {len(row) for row in value}
     require(len(rows) == 1 and 0 not in rows, name, value, "expected a matrix with rows of one length")
     found = np.array(value, float)
+    require(bool(np.isfinite(found).all()), name, value, "expected finite numbers")
     fits = all(want is None or have == want for have, want in zip(found.shape, shape, strict=True))
     wanted = " x ".join("any" if size is None else str(size) for size in shape)
     require(fits, name, value, f"expected shape {wanted}, got {found.shape[0]} x {found.shape[1]}")
@@ -41,7 +42,16 @@ def covariance(value: Matrix, name: str, size: int, definite: bool) -> np.ndarra
     require(bool(np.abs(found - found.T).max() <= 1e-9 * scale), name, value, "a covariance is symmetric")
     smallest = np.linalg.eigvalsh(found).min()
     if definite:
-        require(bool(smallest > 1e-12 * scale), name, value, "expected positive definite (all eigenvalues > 0)")
+        require(_is_definite(found), name, value, "expected positive definite (all eigenvalues > 0), also in float32")
     else:
         require(bool(smallest >= -1e-12 * scale), name, value, "a covariance has no negative eigenvalue")
     return found
+
+
+def _is_definite(found: np.ndarray) -> bool:
+    """Whether the correlations are definite as float32 holds them; what scales the axes have costs no digits."""
+    variances = np.diag(found)
+    if variances.min() <= 0:
+        return False
+    correlations = (found / np.sqrt(np.outer(variances, variances))).astype(np.float32).astype(float)
+    return bool(np.linalg.eigvalsh(correlations).min() > 1e-6)

@@ -167,7 +167,7 @@ def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, 
     """By how much the first mean is off: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
     if settings.initial_error == "consistent":
         return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
-    V, H = problem.sensor.V, problem.sensor.H
+    V, H = problem.period.V[0], problem.sensor.H
     # z = H y: the least-norm state whose measurement is off by N(0, V).
     return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
 

@@ -229,7 +229,8 @@ def _timeline(axes: Axes, film: Film, name: str) -> None:
     for column in range(film.targets):
         for which, color, edge in ((there, PALE, 0.0), (seen, SEEN, 0.5)):
             # The edge keeps a glimpse of one step visible where a step is less than a pixel.
-            spans = [(film.tau_s * first, film.tau_s * length) for first, length in _runs(which[:, column])]
+            runs = [film.times_s[[first, first + length]] for first, length in _runs(which[:, column])]
+            spans = [(start, end - start) for start, end in runs]
             axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
     axes.set_xlim(0, end)
     axes.set_ylim(max(film.targets, 1) + 0.5, 0.5)

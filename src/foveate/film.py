@@ -23,7 +23,6 @@ class Film:
     """
 
     title: str
-    tau_s: float
     space: Space
     visible: Bool[np.ndarray, "steps n"]
     log_det: Float[np.ndarray, "steps n"]
@@ -139,10 +138,8 @@ def film(
         present[..., None, None], np.asarray(trace.information, float)[: K + 1, :n], np.eye(Z.shape[1])
     )
     outline = problem.sensor.view.outline()
-    tau_s = float(problem.tau)
     return Film(
         title=title,
-        tau_s=tau_s,
         space=problem.agent.space,
         visible=np.asarray(trace.visible)[:K, :n],
         log_det=np.asarray(trace.log_det, float)[:K, :n],

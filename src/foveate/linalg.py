@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
@@ -55,7 +54,7 @@ def inverse_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
         factor = jnp.linalg.cholesky(matrix, symmetrize_input=False)
         eye = jnp.broadcast_to(jnp.eye(size, dtype=matrix.dtype), matrix.shape)
         root = jax.lax.linalg.triangular_solve(factor, eye, left_side=True, lower=True)
-        return jnp.swapaxes(root, -1, -2) @ root
+        return jnp.matmul(jnp.swapaxes(root, -1, -2), root, precision="highest")
     lower, pivots = _pivots(matrix)
     root = _unit_lower_inverse(lower)
     rows: list[list] = [[None] * size for _ in range(size)]
@@ -110,8 +109,10 @@ def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Arra
     In large batches that fuses with its neighbours, where `a @ b` is a separate batched product that the CPU runs one
     matrix at a time.
     """
+    if a.shape[-1] != b.shape[-2]:
+        raise ValueError(f"a product of {a.shape} and {b.shape}: expected as many columns as rows")
     if a.shape[-1] > UNROLLED:
-        return a @ b
+        return jnp.matmul(a, b, precision="highest")
     rank, dtype = max(a.ndim, b.ndim), jnp.result_type(a, b)
     a, b = (jnp.expand_dims(x, tuple(range(rank - x.ndim))).astype(dtype) for x in (a, b))
     return _product.bind(a, b)
@@ -122,7 +123,7 @@ def _outer_products(a: Array, b: Array) -> Array:
     terms = [a[..., :, k, None] * b[..., None, k, :] for k in range(a.shape[-1])]
     if terms:
         return sum(terms[1:], start=terms[0])
-    return jnp.zeros((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]), a.dtype)
+    return jnp.zeros((*jax.lax.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]), a.dtype)
 
 
 # A primitive of its own, so that its derivatives are such products too. Those that JAX would find, by transposing every
@@ -131,7 +132,7 @@ _product = Primitive("small_product")
 _product.def_impl(_outer_products)
 _product.def_abstract_eval(
     lambda a, b: a.update(
-        shape=(*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]),
+        shape=(*jax.lax.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]),
         weak_type=False,
     )
 )

@@ -29,7 +29,8 @@ def placed(pose: Float[np.ndarray, "..."], points_body: Float[np.ndarray, "*m d"
 def arc(pose: Float[np.ndarray, "instants ..."], parts: int) -> Float[np.ndarray, "poses ..."]:
     """Poses along the way, `parts` a step: the twist that leads from one pose to the next is constant.
 
-    That is T exp(s log(T^-1 T')) at s = 0, 1/parts, ...: the way the agent took if it turned by at most pi in the step.
+    That is T exp(s log(T^-1 T')) at s = 0, 1/parts, ...: the way the agent took, in space if it turned by at most pi in
+    the step. In the plane the yaw counts turns; only a whole turn, which leads nowhere, is taken for none.
     """
     between = (_planar_arc if _planar(pose) else _spatial_arc)(pose[:-1], pose[1:], np.arange(parts) / parts)
     return np.concatenate([between.reshape(-1, *pose.shape[1:]), pose[-1:]])
@@ -53,7 +54,7 @@ def _chord_share(
 def _planar_arc(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> Float[np.ndarray, "steps s 3"]:
     """The chord of a step, shortened and turned back."""
     x, y, turn = (end - start).T[..., None]
-    w = -np.remainder(np.pi - turn, 2 * np.pi) + np.pi
+    w = np.where(np.abs(np.sin(turn / 2)) > 1e-6, turn, -np.remainder(np.pi - turn, 2 * np.pi) + np.pi)
     length, back = _chord_share(share, w)
     ahead = length * (np.cos(back) * x - np.sin(back) * y), length * (np.sin(back) * x + np.cos(back) * y)
     return start[:, None] + np.stack([*ahead, share * w], axis=-1)

@@ -67,6 +67,8 @@ def prepare_replay(
     Raises ValueError where the recording has another number of dimensions than the scenario.
     """
     d, problem = scenario.dimension, scenario.problem()
+    if not problem.motion.begins_with_position:
+        raise ValueError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
     if problem.schedule is not None:
         raise ValueError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
     if recording.dimension != d:

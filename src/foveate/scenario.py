@@ -16,7 +16,7 @@ from foveate.checks import Matrix, covariance, matrix, not_negative, positive, r
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.problem import Problem, Schedule
-from foveate.target_settings import DriftTarget, TargetSettings
+from foveate.target_settings import DriftTarget, TargetSettings, require_predictable
 from foveate.view_settings import TriangleView, ViewSettings
 
 
@@ -80,11 +80,12 @@ class SceneSettings:
     `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
     `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
     [-drift_m_s, drift_m_s] of each axis, one for all targets of a scene (`shared_drift`) or each its own, plus
-    [-jitter_m_s, jitter_m_s] anew at each step; `known_drift` says whether the agent is told (the paper: yes), and
+    [-jitter_m_s, jitter_m_s] anew at each step, where targets are positions that an input drives (other kinds have no
+    jitter: the drift is their first velocity); `known_drift` says whether the agent is told (the paper: yes), and
     `process_noise` whether the targets are pushed by N(0, W) as well. With `turnover`, in training, a target that
     leaves the box is replaced by a new one that enters at the other side.
-    Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V) ("paper": claims more than it errs) or
-    drawn from the first belief ("consistent").
+    Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at no range ("paper":
+    claims more than it errs), or drawn from the first belief ("consistent").
     """
 
     targets_min: int = 3
@@ -157,13 +158,24 @@ class Scenario:
         for W in self.schedule.W:
             if len(W) != len(A):
                 raise ValueError(f"schedule.W is {len(W)} x {len(W)}: expected {len(A)} x {len(A)}, as targets' states")
-        if any(self.scenes.drift_m_s) and not self.problem().motion.takes_drift:
-            right = (
-                "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or an input for each axis)"
-            )
+        problem = self.problem()
+        for tau in self.schedule.tau_s:
+            self.target.motion(d, tau)
+        for W in self.schedule.W:
+            for tau in self.schedule.tau_s or (self.tau_s,):
+                require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
+        if any(self.scenes.drift_m_s) and not problem.motion.takes_drift:
+            right = "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or Z = B = I)"
             raise ValueError(f"scenes.drift_m_s = {self.scenes.drift_m_s!r}: {right}")
         if self.sensor.frame == "body" and H.shape[0] != d:
             raise ValueError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
+        V = np.asarray(problem.period.V[0])
+        turns = self.sensor.frame == "body" and not np.array_equal(V, V[0, 0] * np.eye(len(V)))
+        if turns and self.scenes.initial_error == "paper":
+            raise ValueError(
+                "scenes.initial_error = 'paper': N(0, V) says nothing of the world where V turns with the agent: "
+                "expected 'consistent' with this sensor"
+            )
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
         return Z if self.sensor.H is None else matrix(self.sensor.H, "sensor.H", (None, None))

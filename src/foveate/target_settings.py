@@ -58,6 +58,14 @@ def forgetful(tau_s: float, memory_s: float, intensity: np.ndarray) -> Motion:
     return np.kron(A, eye), np.kron(B, eye), np.kron(W, intensity), np.eye(d, 2 * d)
 
 
+def require_predictable(A: np.ndarray, W: np.ndarray, name: str) -> None:
+    """Raise ValueError where the predicted covariance A P A^T + W is singular, whatever the definite P."""
+    smallest = np.linalg.svd(np.hstack([A, W]), compute_uv=False).min()
+    singular = smallest <= 1e-12 * max(np.abs(A).max(), np.abs(W).max())
+    right = "the predicted covariance A P A^T + W is singular: W must add noise wherever A loses rank"
+    require(not singular, name, (A.tolist(), W.tolist()), right)
+
+
 @dataclass(frozen=True, kw_only=True)
 class StaticTarget:
     """A target that stays where it is: y' = y. It has no place for a drift."""
@@ -124,12 +132,15 @@ class VelocityTarget:
     initial_velocity_variance_m2_s2: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.memory_s is not None:
-            positive(self, "memory_s")
         not_negative(self, "acceleration_m2_s3")
         positive(self, "initial_variance_m2", "initial_velocity_variance_m2_s2")
         if self.Q is not None:
-            covariance(self.Q, "Q", len(self.Q), definite=False)
+            covariance(self.Q, "Q", len(self.Q), definite=self.memory_s is not None)
+        if self.memory_s is not None:
+            positive(self, "memory_s")
+            # A velocity that fades without noise is known better and better, without bound.
+            right = "expected > 0 with memory_s"
+            require(self.Q is not None or self.acceleration_m2_s3 > 0, "acceleration_m2_s3", 0.0, right)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
         """A, B, W, Z."""
@@ -205,10 +216,7 @@ class LinearTarget:
         matrix(self.B, "B", (size, None))
         W = covariance(self.W, "W", size, definite=False)
         covariance(self.prior, "prior", size, definite=True)
-        smallest = np.linalg.svd(np.hstack([A, W]), compute_uv=False).min()
-        singular = smallest <= 1e-12 * max(np.abs(A).max(), np.abs(W).max())
-        right = "the predicted covariance A P A^T + W is singular: W must add noise wherever A loses rank"
-        require(not singular, "A, W", (self.A, self.W), right)
+        require_predictable(A, W, "A, W")
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
         """A, B, W, Z."""

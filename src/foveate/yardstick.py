@@ -60,11 +60,11 @@ class Plans:
 def floor(problem: Problem, horizons: Sequence[int]) -> Float[np.ndarray, " episodes"]:
     """The score of an agent that never sees anything [nat per target], for episodes of so many steps."""
 
-    def step(Y, _):
-        Y = belief.predict_information(Y, problem.motion)
+    def step(Y, k):
+        Y = belief.predict_information(Y, problem.at(k).motion)
         return Y, log_det_spd(Y)
 
-    unseen = jax.jit(lambda Y: jax.lax.scan(step, Y, None, max(horizons))[1])(problem.prior_information)
+    unseen = jax.jit(lambda Y: jax.lax.scan(step, Y, jnp.arange(max(horizons)))[1])(problem.prior_information)
     return np.asarray(unseen, float)[np.asarray(horizons) - 1]
 
 

@@ -135,6 +135,8 @@ def test_plan_refuses_what_does_not_fit(
     assert "--starts 0: expected >= 1" in failure(capsys, *plan, "--starts", "0")
     assert "--iterations 0" in failure(capsys, *plan, "--iterations", "0")
     assert "--window 0" in failure(capsys, *plan, "--window", "0")
+    assert "--window 5" in failure(capsys, *plan, "--window", "5", "--omniscient")
+    assert "give one of them" in failure(capsys, *plan, "--preset", "best", "--run", str(run))
     assert "--episodes 0" in failure(capsys, *plan, "--episodes", "0")
     assert "give --run RUN" in failure(capsys, *plan, "--refine", "3")
     assert "--refine 0" in failure(capsys, *plan, "--run", str(run), "--refine", "0")

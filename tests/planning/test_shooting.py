@@ -11,7 +11,7 @@ import pytest
 
 from foveate.evaluation import prepare, simulate
 from foveate.geometry.fov import ball
-from foveate.geometry.fov_spatial import cone
+from foveate.geometry.fov_spatial import cone, prism
 from foveate.geometry.space import SPACES
 from foveate.models.agent import Agent
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness
@@ -22,6 +22,7 @@ from foveate.planning.shooting import PAPER, Plan, PlanSettings, ascend, better,
 from foveate.planning.tours import best_range, straight_ahead, tours
 from foveate.problem import Observation, Policy, Problem
 from foveate.rollout import SURROGATE, TRUE, log_dets
+from foveate.scenario import Scenario, ScheduleSettings
 from foveate.scenes import Scene
 from foveate.settings import PRESETS
 
@@ -195,6 +196,20 @@ def test_best_range_is_the_deepest_point_ahead():
     np.testing.assert_allclose(best_range(PROBLEM.sensor.view), 2 / (1 + np.sin(np.pi / 3)), atol=0.03)
     np.testing.assert_allclose(best_range(ball([1.0, 0.0], 1.0)), 1.0, atol=0.03)
     assert best_range(SPATIAL.sensor.view) > 1
+    np.testing.assert_array_equal(best_range(prism(PROBLEM.sensor.view)), best_range(PROBLEM.sensor.view))
+
+
+def test_a_schedule_is_refused():
+    changing = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5))).problem()
+    future = Future(
+        pose=jnp.zeros(3),
+        state=jnp.ones((2, 1, 2)),
+        information=0.5 * jnp.eye(2)[None],
+        present=jnp.array([True]),
+        horizon=jnp.array(2),
+    )
+    with pytest.raises(ValueError, match="the scenario has a schedule"):
+        score(changing, future, jnp.zeros((2, 2)), None)
 
 
 def receding(settings=FEW, policy=None):

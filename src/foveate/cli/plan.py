@@ -35,7 +35,7 @@ class Plan:
     targets from the scenario's own distribution (default: table1 in the plane, own in space)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own; table1 proper is the default."""
-    preset: Annotated[str, tyro.conf.arg(metavar="NAME")] = "paper"
+    preset: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Whose world to plan in."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset."""
@@ -51,7 +51,7 @@ class Plan:
     """Sequences to begin from (default: as published; omniscient: 64)."""
     iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Steps of ascent of each (default: 30 a decision, as published 100; omniscient or open loop: 300)."""
-    window: Annotated[int, tyro.conf.arg(metavar="K")] = 30
+    window: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
     """Most steps that a plan at every step looks ahead; the end of the episode is known."""
     protocol: Literal["surrogate", "true", "both"] = "both"
     """How information is counted, and so what is planned for."""
@@ -97,8 +97,10 @@ class Plan:
         check_least("--iterations", self.iterations, 1)
         check_least("--refine", self.refine, 1)
         check_least("--window", self.window, 1)
-        if self.run is not None and self.config is not None:
-            raise ValueError("--run and --config: a run plans in its own world; give one of them")
+        if sum(world is not None for world in (self.run, self.config, self.preset)) > 1:
+            raise ValueError("--run, --config and --preset: each is a world to plan in; give one of them")
+        if self.window is not None and (self.omniscient or self.open_loop):
+            raise ValueError(f"--window {self.window}: only a plan made anew at every step has one")
         if self.refine is not None and self.run is None:
             raise ValueError(f"--refine {self.refine}: whose policy? give --run RUN")
         if self.omniscient and (self.open_loop or self.refine is not None):
@@ -115,9 +117,10 @@ class Plan:
             return load_toml(Experiment, self.config)
         if self.run is not None:
             return experiment_of(str(self.run))
-        if self.preset not in PRESETS:
-            raise ValueError(f"--preset {self.preset}: presets are {', '.join(PRESETS)}")
-        return PRESETS[self.preset]
+        preset = self.preset or "paper"
+        if preset not in PRESETS:
+            raise ValueError(f"--preset {preset}: presets are {', '.join(PRESETS)}")
+        return PRESETS[preset]
 
     def _rows(self, experiment: "Experiment", scenes: "list[Scene]", protocol: str, report) -> "list[Row]":
         from foveate.checkpoint import load_run
@@ -140,7 +143,7 @@ class Plan:
             return (
                 OpenLoop(problem, settings, horizon)
                 if self.open_loop
-                else planner(problem, settings, horizon, self.window, policy)
+                else planner(problem, settings, horizon, self.window or 30, policy)
             )
 
         return planner_rows(

@@ -37,16 +37,22 @@ class LinearGaussian(eqx.Module):
         return self.B.shape[1]
 
     @property
+    def begins_with_position(self) -> bool:
+        """Whether a state is d-vectors of which the first is the position, Z = [I 0]."""
+        d, n_y = self.Z.shape
+        return n_y % d == 0 and np.array_equal(self.Z, np.eye(d, n_y))
+
+    @property
     def takes_drift(self) -> bool:
         """Whether a velocity can be given to a target: as the input of a position, or as the second part of a state."""
         d, n_y = self.Z.shape
         if n_y == d:
-            return self.input_size == d
+            return self.begins_with_position and np.array_equal(self.B, np.eye(d))
         return n_y >= 2 * d and np.array_equal(self.Z, np.eye(d, n_y))
 
     def position(self, state: Float[Array, "*b n_y"]) -> Float[Array, "*b d"]:
         """zeta(y) = Z y [m]."""
-        return state @ self.Z.T
+        return jnp.matmul(state, self.Z.T, precision="highest")
 
     def state_at(self, position_world: Point) -> Mean:
         """The state at a position with every other component 0 (the least-norm solution of Z y = position)."""
@@ -54,4 +60,5 @@ class LinearGaussian(eqx.Module):
 
     def advance(self, state: Float[Array, "*b n_y"], known_input: Float[Array, "*b m_y"]) -> Float[Array, "*b n_y"]:
         """A y + B xi, without the noise."""
-        return state @ self.A.T + known_input @ self.B.T
+        moved = jnp.matmul(state, self.A.T, precision="highest")
+        return moved + jnp.matmul(known_input, self.B.T, precision="highest")

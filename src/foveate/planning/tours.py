@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.fov import FieldOfView
+from foveate.geometry.fov_spatial import Prism
 from foveate.planning.information import Future
 from foveate.policies.handmade import twist_towards
 from foveate.problem import Problem
@@ -29,7 +30,9 @@ def straight_ahead(problem: Problem, steps: int) -> Float[Array, "K m"]:
 
 
 def best_range(view: FieldOfView) -> Scalar:
-    """How far straight ahead a target is deepest in view [m]; 0 for a view without bounds."""
+    """How far straight ahead a target is deepest in view [m]; 0 for a view without bounds ahead."""
+    if isinstance(view, Prism):
+        return best_range(view.base)
     ahead = jnp.linspace(0.0, 1.0, 101) * jnp.where(jnp.isfinite(view.depth), view.depth, 0.0)
     points = jnp.zeros((len(ahead), view.dimension)).at[:, 0].set(ahead)
     return ahead[jnp.argmin(view.signed_distance(points))]

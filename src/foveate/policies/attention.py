@@ -8,7 +8,6 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.space import Space
@@ -50,7 +49,7 @@ class AttentionSettings:
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
         """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
         d, n_y = problem.agent.space.dimension, problem.motion.state_size
-        if self.frame == "body" and (n_y % d or not np.array_equal(problem.motion.Z, np.eye(d, n_y))):
+        if self.frame == "body" and not problem.motion.begins_with_position:
             raise ValueError(
                 f"frame = 'body': expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
             )
