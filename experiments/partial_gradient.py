@@ -22,7 +22,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from foveate.checkpoint import load_run
-from foveate.learning.policy_gradient import training_episode
+from foveate.episodes import training_episode
 from foveate.learning.sensitivity import policy_gradient
 from foveate.lifting import Lifted, lifted_episode, lifted_problem
 from foveate.policies.inputs import Frame

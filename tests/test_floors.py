@@ -24,7 +24,10 @@ FLOORS = [
         *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
-    ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
+    [
+        *("learning.sensitivity", "learning.policy_gradient", "learning.judging", "learning.training"),
+        *("learning.torch_attention", "learning.vec_env", "learning.ppo"),
+    ],
     [
         "drawing",
         "solids",

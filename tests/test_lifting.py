@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from foveate.episodes import training_episode
 from foveate.geometry.space import SPACES
-from foveate.learning.policy_gradient import training_episode
 from foveate.lifting import Lifted, lifted_episode, lifted_pose, lifted_problem
 from foveate.models.sensor import Softness
 from foveate.policies.attention import AttentionSettings

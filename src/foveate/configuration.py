@@ -2,7 +2,8 @@
 
 A field may be a bool, int, float, str, Literal, another dataclass, a tuple of any of these (`tuple[X, ...]`
 or `tuple[X, Y]`), any of them `| None`, or a union of dataclasses `A | B` that are told apart by a Literal
-field of the same name in each. TypeError marks a dataclass that asks for more, ValueError wrong input.
+field of the same name in each; where it has no default, one of them may lack it. TypeError marks a dataclass that
+asks for more, ValueError wrong input.
 """
 
 import difflib
@@ -11,7 +12,7 @@ import json
 import math
 import tomllib
 from collections.abc import Iterable, Iterator
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -102,7 +103,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
             raise at.key(key).wrong(table[key], f"unknown key; {right}")
     values = {name: _value(hints[name], table[name], at.key(name)) for name in known if name in table}
     for name, field in known.items():
-        if name in table or field.default is not MISSING or field.default_factory is not MISSING:
+        if name in table or _has_default(field):
             continue
         if NoneType not in get_args(hints[name]):
             raise at.key(name).error(f"is missing; wanted {_wanted(hints[name])}")
@@ -176,20 +177,33 @@ def _member(hint: Any, value: Any, at: _At) -> Any:
     if not isinstance(value, dict):
         raise at.wrong(value, "wanted a table")
     if tag not in value:
+        if None in selected:
+            return _record(selected[None], value, at)
         raise at.key(tag).error(f"is missing; wanted {_one_of(selected)}")
-    return _record(selected[_choice(tuple(selected), value[tag], at.key(tag))], value, at)
+    options = tuple(option for option in selected if option is not None)
+    return _record(selected[_choice(options, value[tag], at.key(tag))], value, at)
 
 
 def _tag(members: list[Any]) -> tuple[str, dict[Any, Any]]:
-    """The Literal field that tells dataclasses apart, and which value selects which. TypeError if none."""
-    hints = [get_type_hints(member) if is_dataclass(member) else {} for member in members]
-    for name in hints[0]:
+    """The Literal field that tells dataclasses apart, and which value selects which. TypeError if none.
+
+    None selects the one that lacks the field: so a second kind can join one whose tables were written without a tag.
+    """
+    hints = [get_type_hints(member) for member in members] if all(map(is_dataclass, members)) else []
+    for name in dict.fromkeys(name for hint in hints for name in hint):
         found = [hint.get(name) for hint in hints]
-        literals = [get_args(each) if get_origin(each) is Literal else () for each in found]
+        if None in found and any(field.name == name and _has_default(field) for m in members for field in fields(m)):
+            continue
+        literals = [get_args(each) if get_origin(each) is Literal else (each,) for each in found]
         selected = {tag: member for tags, member in zip(literals, members, strict=True) for tag in tags}
-        if all(literals) and len(selected) == sum(map(len, literals)):
+        told = all(each is None or get_origin(each) is Literal for each in found)
+        if told and len(selected) == sum(map(len, literals)):
             return name, selected
     raise TypeError(f"no Literal field tells {', '.join(map(str, members))} apart")
+
+
+def _has_default(field: Field[Any]) -> bool:
+    return field.default is not MISSING or field.default_factory is not MISSING
 
 
 def _plain(value: Any, at: _At) -> Any:

@@ -143,6 +143,16 @@ def episode_of(
     return _with_turnover(problem, settings, episode, error) if turnover else episode
 
 
+def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False) -> Episode:
+    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected."""
+    scene_key, noise_key = jax.random.split(key)
+    steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
+    chance = draw_noise(problem, noise_key, steps, targets)
+    uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
+    scene = draw(scenes, problem, uniform, test)
+    return episode_of(problem, scenes, scene, chance, with_truth=noise, turnover=noise and scenes.turnover)
+
+
 def _with_turnover(
     problem: Problem, settings: SceneSettings, episode: Episode, error: Float[Array, "n n_y"]
 ) -> Episode:

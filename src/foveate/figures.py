@@ -31,7 +31,7 @@ from foveate.drawing import (
 )
 from foveate.files import read_text
 from foveate.film import SUBSTEPS, Film
-from foveate.learning.training import METRICS, Check
+from foveate.learning.judging import METRICS, Check
 from foveate.poses import positions, rotation
 from foveate.stages import stage_of
 

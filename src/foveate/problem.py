@@ -141,3 +141,8 @@ def first_information(problem: Problem, targets: int) -> Float[Array, "n n_y n_y
     """Y_0 of every target."""
     size = problem.motion.state_size
     return jnp.broadcast_to(problem.prior_information, (targets, size, size))
+
+
+def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
+    """The mean of `values` over the targets that are present; 0 where none is."""
+    return jnp.sum(jnp.where(present, values, 0.0), axis=-1) / jnp.maximum(jnp.sum(present, axis=-1), 1)

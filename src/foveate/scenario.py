@@ -124,6 +124,12 @@ class SceneSettings:
         """Steps of an episode with that many targets."""
         return self.steps if self.steps is not None else self.steps_per_target * max(1, targets)
 
+    @property
+    def mean_horizon(self) -> float:
+        """Steps of an episode in the mean over the scenes that are drawn."""
+        numbers = range(self.targets_min, self.targets_max + 1)
+        return sum(map(self.horizon, numbers)) / len(numbers)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:

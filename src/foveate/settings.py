@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from foveate.agent_settings import Quadrotor
+from foveate.checks import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.policies.attention import AttentionSettings
 from foveate.rollout import Protocol
@@ -13,37 +14,22 @@ from foveate.view_settings import FrustumView
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingSettings:
-    """How a policy is trained by the policy gradient.
+class LearningSettings:
+    """What every learner is after, and how it is judged.
 
-    One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
-    `gradient_bound`. `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: the
-    objective is the mean over levels, and the policy sees the last. `objective` is log det at the horizon ("terminal",
-    the paper), its mean over the steps ("mean"), or the share of time in view ("seen"). With `noise`, targets move
-    and are measured as in the real world, means are corrected, and the soft view is taken at the truth; without
-    (the paper), the mean is the truth. Every `check_every` epochs the policy is judged on `held_out` scenes that never
-    train it, by the score of `select`.
+    `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: what is earned is the mean
+    over levels, and the policy sees the last. With `noise`, targets move and are measured as in the real world, means
+    are corrected, and the soft view is taken at the truth; without (the paper), the mean is the truth. From time to
+    time the policy is judged on `held_out` scenes that never train it, by the score of `select`; the best is kept.
     """
 
-    epochs: int = 1000
-    episodes: int = 60
-    learning_rate: float = 3e-4
-    schedule: Literal["constant", "cosine"] = "constant"
-    gradient_bound: float = 10.0
     softness: tuple[tuple[float, float], ...] = ((PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa),)
-    objective: Literal["terminal", "mean", "seen"] = "terminal"
     noise: bool = False
     select: Literal["surrogate", "true"] = "surrogate"
     held_out: int = 240
-    check_every: int = 50
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "episodes", "held_out", "check_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected >= 1")
-        for name in ("learning_rate", "gradient_bound"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected > 0")
+        require(self.held_out >= 1, "held_out", self.held_out, "expected >= 1")
         if not self.softness or min(kappa for _, kappa in self.softness) <= 0:
             raise ValueError(f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0")
 
@@ -54,12 +40,80 @@ class TrainingSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrainingSettings(LearningSettings):
+    """How a policy is trained by the policy gradient.
+
+    One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
+    `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
+    or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
+    """
+
+    epochs: int = 1000
+    episodes: int = 60
+    learning_rate: float = 3e-4
+    schedule: Literal["constant", "cosine"] = "constant"
+    gradient_bound: float = 10.0
+    objective: Literal["terminal", "mean", "seen"] = "terminal"
+    check_every: int = 50
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("epochs", "episodes", "check_every"):
+            require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        positive(self, "learning_rate", "gradient_bound")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings(LearningSettings):
+    """How a policy is trained by proximal policy optimisation, model-free; the defaults are Stable-Baselines3's.
+
+    `environments` side by side take `rollout_steps` steps each; then Adam goes over these `passes` times in
+    minibatches of `batch`; and so on for `steps` steps of environments in all. The reward is the growth of the mean
+    log det per target, times `reward_scale`; an episode's end is an end, of no value. `log_std` is the logarithm of
+    the first standard deviation of the actions' noise. With `critic_sees_time` the value network, which is thrown
+    away after training, is told the steps that are left. The learning rate is constant or falls linearly to 0. The
+    policy is judged every `check_every` steps.
+    """
+
+    algorithm: Literal["ppo"]
+    steps: int = 1_000_000
+    environments: int = 64
+    rollout_steps: int = 32
+    batch: int = 64
+    passes: int = 10
+    learning_rate: float = 3e-4
+    schedule: Literal["constant", "linear"] = "constant"
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    value_weight: float = 0.5
+    entropy_weight: float = 0.0
+    gradient_bound: float = 0.5
+    log_std: float = 0.0
+    reward_scale: float = 1.0
+    critic_sees_time: bool = False
+    check_every: int = 50_000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("steps", "environments", "rollout_steps", "passes", "check_every"):
+            require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        collected = self.environments * self.rollout_steps
+        right = f"expected a divisor of environments x rollout_steps = {collected}, and >= 2"
+        require(self.batch >= 2 and collected % self.batch == 0, "batch", self.batch, right)
+        positive(self, "learning_rate", "clip", "gradient_bound", "reward_scale")
+        not_negative(self, "value_weight", "entropy_weight")
+        for name in ("discount", "gae_lambda"):
+            require(0 <= getattr(self, name) <= 1, name, getattr(self, name), "expected 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Experiment:
     """One run: scenario, policy, training."""
 
     scenario: Scenario = field(default_factory=Scenario)
     policy: AttentionSettings = field(default_factory=AttentionSettings)
-    training: TrainingSettings = field(default_factory=TrainingSettings)
+    training: TrainingSettings | PPOSettings = field(default_factory=TrainingSettings)
 
 
 DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")

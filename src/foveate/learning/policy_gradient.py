@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
-from foveate.episodes import draw, draw_noise, draw_size, episode_of
-from foveate.problem import Episode, Policy, Problem
+from foveate.episodes import training_episode
+from foveate.problem import Episode, Policy, Problem, per_target
 from foveate.rollout import log_dets, weights
 from foveate.scenario import SceneSettings
 from foveate.settings import TrainingSettings
@@ -47,23 +47,12 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
     return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int))
 
 
-def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False) -> Episode:
-    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected."""
-    scene_key, noise_key = jax.random.split(key)
-    steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
-    chance = draw_noise(problem, noise_key, steps, targets)
-    uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
-    scene = draw(scenes, problem, uniform, test)
-    return episode_of(problem, scenes, scene, chance, with_truth=noise, turnover=noise and scenes.turnover)
-
-
 def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
     """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
     arrivals = episode.arrivals
     # A target that has just come could not be measured yet.
     present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
-    present = jnp.broadcast_to(present, values.shape)
-    score = jnp.sum(jnp.where(present, values, 0.0), axis=1) / jnp.maximum(jnp.sum(present, axis=1), 1)
+    score = per_target(values, jnp.broadcast_to(present, values.shape))
     if terminal:
         return score[episode.horizon - 1]
     return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)

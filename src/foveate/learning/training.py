@@ -1,10 +1,8 @@
 """Training that survives: the loop around the learner. It judges, keeps the best, notices collapse, and can go on."""
 
 import json
-import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +13,13 @@ import optax
 from tensorboardX import SummaryWriter
 
 from foveate.arrays import load_arrays
-from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree, write_config
+from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree
 from foveate.configuration import load_toml
 from foveate.files import write_atomic
-from foveate.learning.policy_gradient import Learner, begin, episode_score, epochs, training_episode
-from foveate.problem import Episode, Policy, Problem, Trace
-from foveate.rollout import PROTOCOLS, rollout
-from foveate.settings import Experiment
-from foveate.types import Key
+from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
+from foveate.learning.policy_gradient import Learner, begin, epochs
+from foveate.settings import Experiment, TrainingSettings
 
-METRICS = "metrics.jsonl"
-LIMIT = 0.99
-"""A command this close to a limit of its axis (or tanh beyond it) has no gradient to come back by."""
 COLLAPSED_SHARE = 0.9
 COLLAPSED_SCORE = 1.0
 COLLAPSED_SEEN = 0.5
@@ -35,36 +28,6 @@ COLLAPSED_CHECKS checks in a row, is a collapse."""
 COLLAPSED_CHECKS = 10
 RETURNS = 3
 """How often a collapsed training goes back to its best before it gives up."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """One judgement of a policy in training, a line of `metrics.jsonl`.
-
-    `objective` is the mean over the epochs since the last check, `held_out` the score of the protocol that selects
-    the best, `at_limit` the share of held-out commands with every axis at a limit.
-    """
-
-    epoch: int
-    objective: float
-    gradient_norm: float
-    held_out: float
-    at_limit: float
-    best: bool
-    epochs_per_s: float
-    elapsed_s: float
-    event: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """How a training ended."""
-
-    epochs: int
-    best_epoch: int
-    best_score: float
-    returns: int
-    stopped: str
 
 
 class Progress(eqx.Module):
@@ -76,29 +39,6 @@ class Progress(eqx.Module):
     best_epoch: jax.Array
     below: jax.Array
     returns: jax.Array
-
-
-def held_out_episodes(experiment: Experiment, problem: Problem, key: Key) -> Episode:
-    """Scenes that never train the policy, from the test distribution, with truth and noise."""
-    scenes = experiment.scenario.scenes
-    keys = jax.random.split(key, experiment.training.held_out)
-    return jax.jit(jax.vmap(lambda k: training_episode(problem, scenes, k, noise=True, test=True)))(keys)
-
-
-def judge(
-    experiment: Experiment, problem: Problem, policy: Policy, episodes: Episode, key: Key
-) -> tuple[jax.Array, jax.Array]:
-    """Mean held-out score, of what training is after, and the share of commands at a limit."""
-    training = experiment.training
-    protocol = PROTOCOLS[training.select]
-    keys = jax.random.split(key, training.held_out)
-    trace: Trace = jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
-    values = trace.visible.astype(float) if training.objective == "seen" else trace.log_det
-    score = jax.vmap(lambda v, e: episode_score(v, e, training.objective == "terminal"))(values, episodes)
-    counts = jnp.arange(trace.action.shape[1]) < episodes.horizon[:, None]
-    # A policy that stands at the limit of one axis may do so for good reason; at all of them it has collapsed.
-    at_limit = jnp.all(jnp.abs(trace.action) > LIMIT, axis=-1)
-    return jnp.mean(score), jnp.mean(at_limit, where=counts)
 
 
 def train(
@@ -113,9 +53,11 @@ def train(
     The same experiment and seed give the same checkpoint, bit for bit, on the same machine, also when the training
     was interrupted and resumed. Raises ValueError where `out` already holds a run (or, resumed, another one).
     """
-    if not resume:
-        _claim(out, experiment)
     problem, training = experiment.scenario.problem(), experiment.training
+    if not isinstance(training, TrainingSettings):
+        raise ValueError(f"training.algorithm = {training.algorithm!r}: expected the policy gradient, which has none")
+    if not resume:
+        claim(out, experiment)
     keys = jax.random.split(jax.random.key(seed), 4)
     learner = begin(experiment.policy.policy(problem, keys[0]), training)
     zero = jnp.zeros((), int)
@@ -150,6 +92,7 @@ def train(
                 epochs_per_s=count / (now - started),
                 elapsed_s=now - began,
                 event=event,
+                env_steps=round(int(learner.epoch) * training.episodes * scenes.mean_horizon),
             )
             _keep(out, experiment, seed, progress, check, events)
             report(check, training.epochs)
@@ -203,17 +146,11 @@ def _next(
     return Progress(back, *held), f"collapse ({why}): back to epoch {int(progress.best_epoch)}", ""
 
 
-def _claim(out: Path, experiment: Experiment) -> None:
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"{out}: exists already: choose another --out, or go on with --resume {out}")
-    (out / BEST).parent.mkdir(parents=True, exist_ok=True)
-    write_config(out, experiment)
-    write_atomic(out / METRICS, b"")
-
-
 def stored_run(run: Path) -> tuple[Experiment, int]:
     """The experiment and the seed that a run folder was trained with, to go on with it."""
     experiment = load_toml(Experiment, run / CONFIG)
+    if not isinstance(experiment.training, TrainingSettings):
+        raise ValueError(f"{run}: was trained by PPO, which does not go on where it stopped: train anew")
     header, _ = load_arrays(run / LAST, "training", VERSION)
     return experiment, int(header["facts"]["seed"])
 
@@ -237,11 +174,6 @@ def _epoch_of(line: str) -> int | float:
         return float("inf")
 
 
-def _is_json(value: object) -> bool:
-    """JSON has no NaN and no infinity."""
-    return not isinstance(value, float) or math.isfinite(value)
-
-
 def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
@@ -249,8 +181,4 @@ def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, chec
         best = {"seed": seed, "epoch": check.epoch, "held_out": check.held_out}
         save_tree(out / BEST, progress.best.policy, experiment, "policy", best)
     save_tree(out / LAST, progress, experiment, "training", facts)
-    with (out / METRICS).open("a") as file:
-        facts = {name: value if _is_json(value) else None for name, value in asdict(check).items()}
-        file.write(json.dumps(facts) + "\n")
-    for name in ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s"):
-        events.add_scalar(name, getattr(check, name), check.epoch)
+    write_check(out, check, events)
