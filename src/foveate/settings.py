@@ -1,6 +1,6 @@
 """Everything that defines a run, as it stands in `config.toml`: the world, the policy and how it is trained."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 from foveate.agent_settings import Quadrotor
@@ -116,6 +116,12 @@ class Experiment:
     training: TrainingSettings | PPOSettings = field(default_factory=TrainingSettings)
 
 
+def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings) -> Experiment:
+    """The experiment with another learner, which is after the same and judged in the same way."""
+    shared = {each.name: getattr(experiment.training, each.name) for each in fields(LearningSettings)}
+    return replace(experiment, training=replace(learner, **shared))
+
+
 DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")
 """The paper's architecture, a layer deeper and twice as wide, with compressed information matrices: what the 27
 numbers of a target in space ask for."""
@@ -158,3 +164,20 @@ PRESETS = {
         ),
     ),
 }
+
+PPO = {
+    "ppo": PPOSettings(algorithm="ppo"),
+    "ppo-tuned": PPOSettings(
+        algorithm="ppo",
+        environments=128,
+        rollout_steps=64,
+        batch=512,
+        learning_rate=1e-3,
+        schedule="linear",
+        discount=1.0,
+        log_std=-0.7,
+        reward_scale=0.2,
+        critic_sees_time=True,
+    ),
+}
+"""The model-free rival: as Stable-Baselines3 comes, and tuned for this task."""

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from foveate.checkpoint import BEST, LAST, load_run, load_tree
 from foveate.learning import training
+from foveate.learning.judging import METRICS, judge
 from foveate.learning.policy_gradient import Learner, Report, begin
-from foveate.learning.training import COLLAPSED_CHECKS, METRICS, RETURNS, Progress, judge, train
+from foveate.learning.training import COLLAPSED_CHECKS, RETURNS, Progress, train
 from foveate.policies.attention import AttentionSettings
 from foveate.problem import Policy
 from foveate.scenario import Scenario, SceneSettings
@@ -28,26 +28,6 @@ TINY = Experiment(
 
 class Interrupted(Exception):
     pass
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once(tmp_path_factory):
-    """Every call of `train` compiles anew: let them share their programs."""
-    before = {name: getattr(jax.config, name) for name in CACHE}
-    compilation_cache.reset_cache()
-    for name, value in CACHE.items():
-        jax.config.update(name, value or str(tmp_path_factory.mktemp("programs")))
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
-
-
-CACHE = {
-    "jax_compilation_cache_dir": None,
-    "jax_persistent_cache_min_compile_time_secs": 0.05,
-    "jax_persistent_cache_min_entry_size_bytes": -1,
-}
 
 
 def interrupted_after(checks):

@@ -134,7 +134,8 @@ def to_jax(actor: Attention, problem: Problem, settings: AttentionSettings) -> A
     """The policy that decides as the actor's mean action does, without torch."""
     shape = eqx.filter_eval_shape(lambda key: settings.policy(problem, key), jax.random.key(0))
     chains = [actor.agent_layers, actor.target_layers, actor.out_layers]
-    weights = [x.detach().numpy() for chain in chains for layer in chain for x in (layer.weight, layer.bias)]
+    names = ("weight", "bias")
+    weights = [layer.get_parameter(name).detach().numpy() for chain in chains for layer in chain for name in names]
     return eqx.tree_at(_weights, shape, [jnp.asarray(x, float) for x in weights])
 
 

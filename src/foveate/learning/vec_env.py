@@ -63,7 +63,7 @@ class TargetsVecEnv(VecEnv):
         self._key, key = jax.random.split(self._key)
         self._moments, rows = self._begin(jax.random.split(key, self.num_envs))
         self._returns[:] = 0.0
-        return np.array(rows, np.float32)
+        return np.asarray(rows).astype(np.float32)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions for `step_wait`."""
