@@ -261,6 +261,38 @@ def test_none_is_written_only_where_leaving_out_means_none() -> None:
         to_table(Limited(each=(None,)))
 
 
+def test_one_member_of_a_union_may_lack_the_tag() -> None:
+    """A second kind joins one whose tables, and digests, were made without a tag; both may share other fields."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Old:
+        mode: Literal["a", "b"] = "a"
+        count: int = 1
+
+    @dataclass(frozen=True, kw_only=True)
+    class New:
+        kind: Literal["new"]
+        mode: Literal["a", "c"] = "a"
+
+    @dataclass(frozen=True, kw_only=True)
+    class Before:
+        part: Old = Old()
+
+    @dataclass(frozen=True, kw_only=True)
+    class After:
+        part: Old | New = Old()
+
+    assert from_table(After, {"part": {"count": 3}}, "test") == After(part=Old(count=3))
+    assert from_table(After, {"part": {"kind": "new", "mode": "c"}}, "test") == After(part=New(kind="new", mode="c"))
+    for each in (After(part=Old(mode="b")), After(part=New(kind="new"))):
+        assert from_table(After, to_table(each), "test") == each
+    assert digest(After()) == digest(Before())
+    with pytest.raises(ValueError, match=r"part\.kind = 'old': wanted 'new'"):
+        from_table(After, {"part": {"kind": "old"}}, "test")
+    with pytest.raises(ValueError, match=r"part\.count = 3: unknown key"):
+        from_table(After, {"part": {"kind": "new", "count": 3}}, "test")
+
+
 def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Odd:

@@ -10,7 +10,7 @@ from foveate.agent_settings import DifferentialDrive, FixedWing, FreeBody, Quadr
 from foveate.configuration import dumps_toml, load_toml
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario import Scenario, SceneSettings, ScheduleSettings, SensorSettings
-from foveate.settings import PRESETS, Experiment, TrainingSettings
+from foveate.settings import PRESETS, Experiment, PPOSettings, TrainingSettings
 from foveate.target_settings import AccelerationTarget, DriftTarget, LinearTarget, StaticTarget, VelocityTarget
 from foveate.view_settings import (
     BallView,
@@ -156,8 +156,17 @@ BAD = {
     "epochs": (lambda: TrainingSettings(epochs=0), "epochs = 0"),
     "rate": (lambda: TrainingSettings(learning_rate=0.0), "learning_rate = 0.0"),
     "softness": (lambda: TrainingSettings(softness=()), "softness = ()"),
+    "held out": (lambda: TrainingSettings(held_out=0), "held_out = 0"),
+    "batch": (lambda: PPOSettings(algorithm="ppo", batch=100), "batch = 100: expected a divisor of"),
+    "discount": (lambda: PPOSettings(algorithm="ppo", discount=1.5), "discount = 1.5: expected 0 to 1"),
     "kappa": (lambda: TrainingSettings(softness=((1.0, 0.4), (1.0, 0.0))), "softness = ((1.0, 0.4), (1.0, 0.0))"),
 }
+
+
+def test_the_mean_horizon_is_that_of_the_scenes_drawn() -> None:
+    """The paper's: 3 n steps with n uniform on 3 .. 8, so 3 x 5.5; 1000 epochs of 60 episodes are 990,000 steps."""
+    assert SceneSettings().mean_horizon == 16.5
+    assert SceneSettings(steps=7).mean_horizon == 7.0
 
 
 @pytest.mark.parametrize("name", BAD)

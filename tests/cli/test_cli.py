@@ -224,6 +224,41 @@ def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pyte
     assert not list(tmp_path.iterdir())
 
 
+def test_ppo_trains_a_run_that_evaluates(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A config of PPO with next to no training; what it leaves is judged without torch, and does not go on."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
+    config, run = tmp_path / "small.toml", tmp_path / "run"
+    small = "held_out = 4\nenvironments = 4\nrollout_steps = 8\nbatch = 16\npasses = 1\n"
+    config.write_text(f'[training]\nalgorithm = "ppo"\n{small}')
+    train = ("train", "--config", str(config))
+    assert main([*train, "--steps", "50", "--out", str(run)]) == 0
+    assert "best of 2 epochs" in capsys.readouterr().out
+    check = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
+    assert check["env_steps"] == 64
+    assert any(path.name.startswith("events.out.tfevents") for path in run.iterdir())
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    assert main(["evaluate", str(run), "--scenes", str(scenes), "--json", str(tmp_path / "out.json")]) == 0
+    check_contract("evaluate", tmp_path / "out.json")
+    assert "does not go on" in failure(capsys, "train", "--resume", str(run))
+    assert "expected --steps" in failure(capsys, *train, "--epochs", "3", "--out", str(tmp_path / "x"))
+    assert "pip install 'foveate[ppo]'" in failure(capsys, *train, "--out", str(tmp_path / "x"))
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_algorithm_and_its_counts_belong_together(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--out", str(tmp_path / "x"))
+    assert "--steps: this algorithm" in failure(capsys, "train", "--steps", "10", *out)
+    assert "expected --steps" in failure(capsys, "train", "--algorithm", "ppo", "--episodes", "10", *out)
+    assert "steps = 0: expected >= 1" in failure(capsys, "train", "--algorithm", "ppo-tuned", "--steps", "0", *out)
+    assert "--algorithm and --resume" in failure(capsys, "train", "--algorithm", "ppo", "--resume", str(run))
+    assert not (tmp_path / "x").exists()
+
+
 def test_a_damaged_checkpoint_is_named(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import shutil
 

@@ -62,6 +62,8 @@ def test_learns_and_tells(undisturbed):
     assert held_out[-1] > held_out[0]
     assert outcome.best_score == max(held_out)
     assert outcome.best_epoch == 10 * (1 + int(np.argmax(held_out)))
+    # 8 episodes of 4 steps an epoch.
+    assert [check.env_steps for check, _ in checks] == [32 * check.epoch for check, _ in checks]
     written = lines(run)
     assert [line["held_out"] for line in written] == held_out
     assert [line["best"] for line in written] == [h == max(held_out[: i + 1]) for i, h in enumerate(held_out)]
