@@ -293,6 +293,25 @@ def test_one_member_of_a_union_may_lack_the_tag() -> None:
         from_table(After, {"part": {"kind": "new", "count": 3}}, "test")
 
 
+def test_a_table_without_a_tag_means_the_member_that_has_a_default_for_it() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Usual:
+        kind: Literal["usual"] = "usual"
+        count: int = 1
+
+    @dataclass(frozen=True, kw_only=True)
+    class Other:
+        kind: Literal["other"]
+        count: int = 2
+
+    @dataclass(frozen=True, kw_only=True)
+    class Both:
+        part: Usual | Other = Usual()
+
+    assert from_table(Both, {"part": {"count": 3}}, "test").part == Usual(count=3)
+    assert from_table(Both, {"part": {"kind": "other"}}, "test").part == Other(kind="other")
+
+
 def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Odd:

@@ -17,7 +17,7 @@ FLOORS = [
         *("scenes", "rollout", "episodes", "lifting", "environment"),
     ],
     [
-        *("policies.inputs", "policies.attention", "policies.handmade"),
+        *("policies.inputs", "policies.layers", "policies.attention", "policies.pooling", "policies.handmade"),
         *("planning.information", "planning.tours", "planning.shooting", "planning.receding"),
     ],
     [

@@ -2,8 +2,8 @@
 
 A field may be a bool, int, float, str, Literal, another dataclass, a tuple of any of these (`tuple[X, ...]`
 or `tuple[X, Y]`), any of them `| None`, or a union of dataclasses `A | B` that are told apart by a Literal
-field of the same name in each; where it has no default, one of them may lack it. TypeError marks a dataclass that
-asks for more, ValueError wrong input.
+field of the same name in each; one of them may lack it or have a default, and is meant where a table has none.
+TypeError marks a dataclass that asks for more, ValueError wrong input.
 """
 
 import difflib
@@ -177,8 +177,9 @@ def _member(hint: Any, value: Any, at: _At) -> Any:
     if not isinstance(value, dict):
         raise at.wrong(value, "wanted a table")
     if tag not in value:
-        if None in selected:
-            return _record(selected[None], value, at)
+        usual = [member for member in members if _is_usual(member, tag)]
+        if len(usual) == 1:
+            return _record(usual[0], value, at)
         raise at.key(tag).error(f"is missing; wanted {_one_of(selected)}")
     options = tuple(option for option in selected if option is not None)
     return _record(selected[_choice(options, value[tag], at.key(tag))], value, at)
@@ -200,6 +201,11 @@ def _tag(members: list[Any]) -> tuple[str, dict[Any, Any]]:
         if told and len(selected) == sum(map(len, literals)):
             return name, selected
     raise TypeError(f"no Literal field tells {', '.join(map(str, members))} apart")
+
+
+def _is_usual(member: Any, tag: str) -> bool:
+    """Whether a table without the tag may mean this member: it lacks the field, or has a default for it."""
+    return all(field.name != tag or _has_default(field) for field in fields(member))
 
 
 def _has_default(field: Field[Any]) -> bool:

@@ -76,7 +76,7 @@ def reset(environment: Environment, key: Key) -> Moment:
 
 def observation(moment: Moment) -> Observation:
     """What a policy sees; after the last step it has no meaning, but numbers."""
-    return observe(moment.predicted, _known_input(moment.episode, moment.predicted))
+    return observe(moment.predicted, _known_input(moment.episode, moment.predicted), moment.episode.horizon)
 
 
 def step(environment: Environment, moment: Moment, action: Action) -> tuple[Moment, Transition]:

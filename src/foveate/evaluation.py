@@ -155,7 +155,7 @@ def decision_time(
     """
     steps = jax.tree.map(lambda x: x[0], episode.inputs)
     predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), steps)
-    observation, key = observe(predicted, steps), jax.random.key(0)
+    observation, key = observe(predicted, steps, episode.horizon), jax.random.key(0)
     arrays, static = eqx.partition(policy, eqx.is_array)
     begin = jax.jit(lambda arrays, observation: eqx.combine(arrays, static).start(observation))
     decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen))

@@ -98,10 +98,12 @@ class Episode(eqx.Module):
 class Observation(eqx.Module):
     """What a policy decides on at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
 
-    `known_input` is xi_k, the input that led to the prediction. Where `present` is false the entry is padding.
+    `left` counts the steps of the episode that are left, this one too. `known_input` is xi_k, the input that led to
+    the prediction. Where `present` is false the entry is padding.
     """
 
     step: Count
+    left: Count
     pose: Pose
     mean: Float[Array, "n n_y"]
     information: Float[Array, "n n_y n_y"]

@@ -107,10 +107,11 @@ def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) 
     )
 
 
-def observe(predicted: State, known_input: Float[Array, "n m_y"]) -> Observation:
-    """What a policy sees of a predicted state."""
+def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count) -> Observation:
+    """What a policy sees of a predicted state in an episode of `horizon` steps."""
     return Observation(
         step=predicted.step,
+        left=horizon - predicted.step,
         pose=predicted.pose,
         mean=predicted.mean,
         information=predicted.information[-1],
@@ -171,7 +172,7 @@ def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol
     def step(carry, instant):
         state, memory = carry
         predicted = predict(problem, state, instant.known_input)
-        observation = observe(predicted, instant.known_input)
+        observation = observe(predicted, instant.known_input, episode.horizon)
         action, memory = policy(observation, memory, jax.random.fold_in(key, state.step))
         state, visible, weight = act(problem, protocol, predicted, instant, action)
         return (state, memory), record(state, action, visible, weight)
@@ -179,7 +180,7 @@ def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol
     steps = instants(episode)
     first = start(problem, episode, protocol)
     first_input = jax.tree.map(lambda x: x[0], steps.known_input)
-    memory = policy.start(observe(predict(problem, first, first_input), first_input))
+    memory = policy.start(observe(predict(problem, first, first_input), first_input, episode.horizon))
     return first, jax.lax.scan(step, (first, memory), steps)[1]
 
 

@@ -7,6 +7,7 @@ from foveate.agent_settings import Quadrotor
 from foveate.checks import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.policies.attention import AttentionSettings
+from foveate.policies.pooling import PoolingSettings
 from foveate.rollout import Protocol
 from foveate.scenario import Scenario, SceneSettings
 from foveate.target_settings import VelocityTarget
@@ -45,7 +46,9 @@ class TrainingSettings(LearningSettings):
 
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
-    or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
+    or the share of time in view ("seen"). `feedback` is the share of the gradient that goes through what the policy
+    sees: 1 the total derivative, 0 the one that the paper prints, with the policy's inputs held; the former's tails are
+    a thousand times as heavy. The policy is judged every `check_every` epochs.
     """
 
     epochs: int = 1000
@@ -54,6 +57,7 @@ class TrainingSettings(LearningSettings):
     schedule: Literal["constant", "cosine"] = "constant"
     gradient_bound: float = 10.0
     objective: Literal["terminal", "mean", "seen"] = "terminal"
+    feedback: float = 1.0
     check_every: int = 50
 
     def __post_init__(self) -> None:
@@ -61,6 +65,7 @@ class TrainingSettings(LearningSettings):
         for name in ("epochs", "episodes", "check_every"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         positive(self, "learning_rate", "gradient_bound")
+        require(0 <= self.feedback <= 1, "feedback", self.feedback, "expected 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +117,7 @@ class Experiment:
     """One run: scenario, policy, training."""
 
     scenario: Scenario = field(default_factory=Scenario)
-    policy: AttentionSettings = field(default_factory=AttentionSettings)
+    policy: AttentionSettings | PoolingSettings = field(default_factory=AttentionSettings)
     training: TrainingSettings | PPOSettings = field(default_factory=TrainingSettings)
 
 

@@ -74,7 +74,7 @@ def test_the_torch_actor_decides_as_the_policy_it_becomes(settings: AttentionSet
     assert not present.any(axis=1).all(), "one of them must be empty"
 
     def both(pose, mean, information, present):
-        seen = Observation(jnp.zeros((), int), pose, mean, information, present, jnp.zeros((n, 2)))
+        seen = Observation(jnp.zeros((), int), jnp.ones((), int), pose, mean, information, present, jnp.zeros((n, 2)))
         action, _ = policy(seen, (), jax.random.key(0))
         return flat_inputs(PROBLEM, settings, seen, jnp.array(0.5)), action
 

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 
 from foveate.geometry import fov, fov_spatial, lie
 from foveate.geometry.space import SPACES
+from foveate.learning.policy_gradient import Held
 from foveate.learning.sensitivity import policy_gradient
 from foveate.lifting import Lifted, lifted_episode, lifted_problem
 from foveate.models.agent import Agent
@@ -139,6 +140,19 @@ def test_the_printed_form_is_partial():
     np.testing.assert_array_equal(flat(run(problem, policy, one, total=False)[1]), flat(run(problem, policy, one)[1]))
     printed, whole = (flat(run(problem, policy, episode, total=total)[1]) for total in (False, True))
     assert np.linalg.norm(printed - whole) > 1e-3 * np.linalg.norm(whole)
+
+
+def test_a_learner_with_its_inputs_held_takes_the_printed_gradient():
+    problem, policy, episode = made("six axes, cone", steps=4)
+    softness = Softness(0.7, 0.6)
+    reverse = eqx.filter_jit(eqx.filter_grad(lambda p, share: objective(problem, Held(p, share), episode, softness)))
+    gradients = {
+        total: flat(policy_gradient(problem, policy, episode, softness, total=total)[1]) for total in (False, True)
+    }
+    for total, expected in gradients.items():
+        np.testing.assert_allclose(flat(reverse(policy, float(total))), expected, atol=1e-9 * np.linalg.norm(expected))
+    half = flat(reverse(policy, 0.5))
+    assert min(np.linalg.norm(half - other) for other in gradients.values()) > 1e-3 * np.linalg.norm(half)
 
 
 def test_what_it_is_not_stated_for():

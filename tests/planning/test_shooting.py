@@ -307,6 +307,7 @@ def test_belief_about_later_inputs_is_their_mean_so_far():
     """The plan of the second step is the one for a future of the mean of two inputs."""
     observation = Observation(
         step=jnp.array(1),
+        left=jnp.array(5),
         pose=jnp.zeros(3),
         mean=jnp.array([[1.0, 2.0]]),
         information=jnp.eye(2)[None],

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
 from foveate.geometry.space import SPACES
-from foveate.policies.attention import AttentionPolicy, AttentionSettings, masked_softmax
+from foveate.policies.attention import AttentionPolicy, AttentionSettings
 from foveate.policies.inputs import policy_inputs
+from foveate.policies.layers import masked_softmax
 from foveate.problem import Observation
 from foveate.scenario import Scenario, SceneSettings
 from foveate.target_settings import LinearTarget
@@ -55,7 +56,7 @@ def scene(n, n_y):
 def seen(pose, mean, information, present):
     arrays = (pose, mean, information, present)
     pose, mean, information, present = (jnp.asarray(x) for x in arrays)
-    return Observation(jnp.asarray(0), pose, mean, information, present, jnp.zeros((len(mean), 2)))
+    return Observation(jnp.asarray(0), jnp.asarray(9), pose, mean, information, present, jnp.zeros((len(mean), 2)))
 
 
 @eqx.filter_jit

@@ -25,7 +25,7 @@ def seen(pose, mean, log_dets, present):
     information = np.exp(np.asarray(log_dets, float) / 2)[:, None, None] * np.array([[1.25, 0.5], [0.5, 1.0]])
     inputs = jnp.zeros((len(mean), 2))
     return Observation(
-        *map(jnp.asarray, (0, np.array(pose, float), np.array(mean, float), information, present)), inputs
+        *map(jnp.asarray, (0, 9, np.array(pose, float), np.array(mean, float), information, present)), inputs
     )
 
 

@@ -109,7 +109,7 @@ def _step(
 
     # u_k = pi_theta(s_k), and how it moves with theta, T_k and P_{k+1}.
     def control(theta: Array, T: Pose, P: Array) -> Twist:
-        return decide(theta, Observation(k, T, mean, P, episode.present, known_input))
+        return decide(theta, Observation(k, episode.horizon - k, T, mean, P, episode.present, known_input))
 
     u = control(theta, now.T, P)
     by_theta, by_T, by_P = jax.jacrev(control, argnums=(0, 1, 2))(theta, now.T, P)

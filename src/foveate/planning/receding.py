@@ -126,7 +126,7 @@ def foreseen_actions(
     key: Key,
 ) -> tuple[Float[Array, "window m"], Any]:
     """What a policy would do in its believed future under a soft view, and its memory after the first decision."""
-    protocol = Protocol(levels=(level,))
+    protocol, horizon = Protocol(levels=(level,)), observation.step + observation.left
     predicted = State(
         step=observation.step,
         pose=observation.pose,
@@ -137,7 +137,9 @@ def foreseen_actions(
 
     def step(carry, known_input):
         predicted, memory = carry
-        action, memory = policy(observe(predicted, known_input), memory, jax.random.fold_in(key, predicted.step))
+        action, memory = policy(
+            observe(predicted, known_input, horizon), memory, jax.random.fold_in(key, predicted.step)
+        )
         state = act(problem, protocol, predicted, Instant(known_input, None, None), action)[0]
         return (predict(problem, state, later_input), memory), (action, memory)
 

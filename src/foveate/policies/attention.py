@@ -1,17 +1,15 @@
 """The paper's network: an embedding of the agent attends to an embedding of every target (paper, section 3.2)."""
 
-import itertools
-import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.space import Space
 from foveate.policies.inputs import Frame, Scale, policy_inputs
+from foveate.policies.layers import fresh_layers, masked_softmax
 from foveate.problem import Observation, Policy, Problem
 from foveate.types import Action, Key
 
@@ -59,28 +57,9 @@ class AttentionSettings:
             (n_y + n_y * (n_y + 1) // 2, *self.target_widths),
             (2 * embedding, *self.out_widths, len(problem.agent.axes)),
         )
-        agent, target, out = _fresh_layers(widths, key)
+        agent, target, out = fresh_layers(widths, key)
         plain = (problem.agent.space, self.frame, self.alpha, self.length_m, self.information)
         return AttentionPolicy(agent, target, out, *plain)
-
-
-def _fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[tuple[eqx.nn.Linear, ...]]:
-    """Chains of layers, weights and biases uniform within 1 / sqrt(inputs), cut from one draw.
-
-    A draw of its own for each of a dozen arrays would cost a second of compilation each.
-    """
-    sizes = [[(out, into + 1) for into, out in itertools.pairwise(chain)] for chain in widths]
-    total = sum(out * columns for chain in sizes for out, columns in chain)
-    numbers, start, chains = jax.random.uniform(key, (total,), minval=-1.0), 0, []
-    for chain in sizes:
-        layers = []
-        for out, columns in chain:
-            block = numbers[start : start + out * columns].reshape(out, columns) / math.sqrt(columns - 1)
-            start += out * columns
-            layer = eqx.filter_eval_shape(eqx.nn.Linear, columns - 1, out, key=key)
-            layers.append(eqx.tree_at(lambda one: (one.weight, one.bias), layer, (block[:, :-1], block[:, -1])))
-        chains.append(tuple(layers))
-    return chains
 
 
 class AttentionPolicy(Policy):
@@ -108,12 +87,3 @@ class AttentionPolicy(Policy):
         for layer in self.out_layers[:-1]:
             hidden = jax.nn.relu(layer(hidden))
         return jnp.tanh(self.out_layers[-1](hidden)), memory
-
-
-def masked_softmax(scores: Float[Array, " n"], mask: Bool[Array, " n"]) -> Float[Array, " n"]:
-    """Softmax over the entries where `mask` holds, 0 elsewhere; all 0, with zero derivative, where none does."""
-    largest = jnp.max(scores, initial=-jnp.inf, where=mask)
-    shift = jax.lax.stop_gradient(jnp.where(jnp.isfinite(largest), largest, 0.0))
-    powers = jnp.where(mask, jnp.exp(jnp.where(mask, scores - shift, 0.0)), 0.0)
-    total = jnp.sum(powers)
-    return powers / jnp.where(total > 0, total, 1.0)
