@@ -175,9 +175,9 @@ PPO = {
     "ppo-tuned": PPOSettings(
         algorithm="ppo",
         environments=128,
-        rollout_steps=64,
-        batch=512,
-        learning_rate=1e-3,
+        rollout_steps=32,
+        batch=128,
+        learning_rate=7e-4,
         schedule="linear",
         discount=1.0,
         log_std=-0.7,

@@ -161,14 +161,16 @@ def test_nothing_is_worth_anything_after_the_horizon() -> None:
     """Whatever the critic claims, the return of an episode's last step is its reward, and no bootstrap is in that."""
     model = experiment_ppo()
     flattering(model)
-    assert float(model.policy.predict_values(torch.as_tensor(model.env.reset())).max()) == 100.0
+    assert model.policy.predict_values(torch.as_tensor(model.env.reset())).detach().unique().tolist() == [100.0]
     kept = Kept()
     model.learn(1, kept)
     last = last_steps(kept)
     assert last.sum() > 8
-    assert np.abs(kept.rewards).max() < 20.0
-    np.testing.assert_allclose(kept.returns[:-1][last], kept.rewards[:-1][last], rtol=0, atol=2e-5)
-    assert kept.returns[:-1][~last].min() > 20.0, "before the end the claim is believed"
+    returns, rewards = kept.returns[:-1], kept.rewards[:-1]
+    np.testing.assert_allclose(returns[last], rewards[last], rtol=0, atol=2e-5)
+    # A step earlier the claim is believed by a twentieth: lambda 0.95, discount 0.99.
+    expected = rewards[:-1] + 0.99 * (0.05 * 100.0 + 0.95 * rewards[1:])
+    np.testing.assert_allclose(returns[:-1][last[1:]], expected[last[1:]], rtol=0, atol=2e-5)
 
 
 def test_the_test_above_catches_a_horizon_that_is_taken_for_a_truncation() -> None:
@@ -186,9 +188,9 @@ def test_the_test_above_catches_a_horizon_that_is_taken_for_a_truncation() -> No
 def test_a_critic_learns_what_is_left() -> None:
     """Reward 1 a step and no discount: after k of 5 steps, 5 - k is left; with a value beyond the end it would grow."""
     probe = Probe(5, 8, {"TimeLimit.truncated": False})
-    options: dict[str, Any] = {"gamma": 1.0, "learning_rate": 3e-3, "device": "cpu", "seed": 0}
+    options: dict[str, Any] = {"gamma": 1.0, "learning_rate": 5e-3, "device": "cpu", "seed": 0}
     model = Learner("MlpPolicy", probe, n_steps=20, batch_size=80, **options)
-    model.learn(8000)
+    model.learn(4800)
     rows = torch.arange(5.0)[:, None] / 5
     values = model.policy.predict_values(rows).detach().numpy()[:, 0]
     np.testing.assert_allclose(values, [5, 4, 3, 2, 1], atol=0.25)

@@ -40,7 +40,7 @@ class Train:
     seed: int = 0
     """Seed of weights and scenes."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
-    """Run folder to make (default: runs/PRESET-SEED)."""
+    """Run folder to make (default: runs/PRESET-SEED, with the algorithm between them where one is given)."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
     """Go on with this run, with the settings and the seed it began with (policy gradient only)."""
 
