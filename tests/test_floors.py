@@ -9,7 +9,7 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 FLOORS = [
-    ["types", "linalg", "checks", "files", "configuration", "arrays", "published"],
+    ["types", "linalg", "checks", "files", "configuration", "arrays", "published", "statistics"],
     ["geometry.lie", "geometry.space", "geometry.safe", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     [
@@ -22,15 +22,19 @@ FLOORS = [
     ],
     [
         *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
+        *("closeness", "comparison", "methods"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
-    ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo"],
+    ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo", "reproduction"],
     [
         "drawing",
         "solids",
         "drawing_spatial",
         "stages",
         "figures",
+        "figures_comparison",
+        "report",
+        "publication",
         "animation",
         "gym",
         "export",
