@@ -22,7 +22,7 @@ FLOORS = [
     ],
     [
         *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
-        *("closeness", "comparison", "methods"),
+        *("closeness", "comparison", "methods", "study"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
     ["learning.sensitivity", "learning.policy_gradient", "learning.training", "learning.ppo", "reproduction"],

@@ -36,11 +36,12 @@ def floors(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
 def with_closeness(
     summary: Sequence[Summary], ceiling: Sequence[Summary], floors: Mapping[Cell, float]
 ) -> list[Summary]:
-    """The summaries with their closeness to the omniscient planner's; null where that sees nothing either."""
+    """The summaries with their closeness to the omniscient planner's; null where that has no rows, or sees nothing."""
     best = {(cell.protocol, cell.motion, cell.targets): cell.mean for cell in ceiling}
 
     def judged(cell: Summary) -> Summary:
-        lowest, highest = floors[cell.motion, cell.targets], best[cell.protocol, cell.motion, cell.targets]
+        lowest = floors[cell.motion, cell.targets]
+        highest = best.get((cell.protocol, cell.motion, cell.targets), lowest)
         # A nat in ten thousand is what rounding makes of nothing.
         value = closeness(cell.mean, lowest, highest) if highest - lowest > 1e-4 else None
         return replace(cell, closeness=value)

@@ -9,7 +9,6 @@ from typing import Any
 import jax
 
 from foveate import __version__
-from foveate.checkpoint import load_run
 from foveate.closeness import floors
 from foveate.comparison import Comparison, Part, as_json, compare
 from foveate.configuration import digest
@@ -19,7 +18,8 @@ from foveate.files import write_atomic, write_json
 from foveate.film import Film, films
 from foveate.methods import PROTOCOLS, Acting, Bench
 from foveate.report import markdown, tables
-from foveate.reproduction import TRAININGS, Study, Trained, bench_of
+from foveate.reproduction import Trained, trained_policy
+from foveate.study import RowsUnit, Study, bench_of
 
 TABLE, DATA = "table.md", "table.json"
 RIVAL = "ppo"
@@ -120,7 +120,7 @@ def _duels(study: Study, bench: Bench, out: Path, rival: Acting, protocol: str) 
     shown = []
     for method in (next(one for one in study.methods if one.name == study.reference), rival):
         assert isinstance(method, Acting)
-        training = method.training
-        policy = None if training is None else load_run(out / TRAININGS / f"{training.name}-{study.seeds[0]}")[1]
+        unit = RowsUnit(method=method, seed=study.seeds[0], protocol=protocol)
+        policy = None if unit.training is None else trained_policy(out, unit.training)
         shown.append(films(suite, method.policy(study.world, policy), protocol, method.name))
     return list(zip(*shown, strict=True))

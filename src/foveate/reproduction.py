@@ -4,112 +4,26 @@ A unit of work is a training, or the rows of a method for one training seed and 
 that its result depends on, and is written whole when the unit is done.
 """
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from foveate import __version__
 from foveate.checkpoint import BEST, LAST, load_run
 from foveate.comparison import Part
 from foveate.configuration import digest
-from foveate.episodes import SUITE_SEED, table1
-from foveate.evaluation import Row, prepare
+from foveate.evaluation import Row
 from foveate.files import read_json, write_json
 from foveate.learning.training import Check, Outcome, stored_run, train
-from foveate.methods import PROTOCOLS, Bench, Method, Training, paper_methods, reference
-from foveate.scenes import Scene
-from foveate.settings import PRESETS, Experiment
+from foveate.methods import Bench
+from foveate.problem import Policy
+from foveate.settings import Experiment
+from foveate.study import RowsUnit, Study, TrainingUnit, bench_of, key, units
 
 UNITS, TRAININGS = "units", "trainings"
-VERSION = 1
-"""Of the files of units; raised, too, when methods of ours do otherwise than before."""
-QUICK_SCENES = 3
 Say = Callable[[str], None]
 """Takes a line for the user."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Study:
-    """What is to be found out: which methods, on which scenes, trained with which seeds.
-
-    `scenes_per_cell`: the first so many scenes of every cell. `noise_seed` draws the chance in the scenes.
-    """
-
-    methods: tuple[Method, ...]
-    reference: str
-    seeds: tuple[int, ...] = (0, 10, 100)
-    scene_seed: int = SUITE_SEED
-    scenes_per_cell: int = 30
-    noise_seed: int = 0
-    quick: bool = False
-    world: Experiment = PRESETS["paper"]
-
-    def __post_init__(self) -> None:
-        names = [method.name for method in self.methods]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"method {twice[0]}: is given twice: expected one method a name")
-        if self.reference not in names:
-            raise ValueError(f"reference {self.reference}: expected one of the methods {', '.join(names)}")
-        made: dict[str, Training] = {}
-        for training in (method.training for method in self.methods if method.training is not None):
-            if made.setdefault(training.name, training) != training:
-                raise ValueError(f"training {training.name}: means two experiments: give each its own name")
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds = {self.seeds}: expected at least one, and each once")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingUnit:
-    """One policy to train."""
-
-    training: Training
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Of its run folder."""
-        return f"{self.training.name}-{self.seed}"
-
-    @property
-    def file(self) -> str:
-        """Where its result is kept."""
-        return f"training-{self.name}.json"
-
-    @property
-    def what(self) -> str:
-        """What is being done."""
-        return f"training {self.name}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RowsUnit:
-    """One method to run on all scenes under one protocol; `seed` is that of its training, if it has one."""
-
-    method: Method
-    seed: int | None
-    protocol: str
-
-    @property
-    def name(self) -> str:
-        """Of the method, as one trained with this seed."""
-        return self.method.name if self.seed is None else f"{self.method.name}-{self.seed}"
-
-    @property
-    def file(self) -> str:
-        """Where its result is kept."""
-        return f"rows-{self.name}-{self.protocol}.json"
-
-    @property
-    def what(self) -> str:
-        """What is being done."""
-        return f"{self.name}, {self.protocol}"
-
-
-Unit = TrainingUnit | RowsUnit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,58 +35,6 @@ class Trained:
     run: Path
     experiment: Experiment
     outcome: Outcome
-
-
-def paper_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
-    """The paper's suite, with further `methods`; the quick one has one seed, short trainings and few scenes."""
-    if quick:
-        changes = {"seeds": (0,), "scenes_per_cell": QUICK_SCENES, **changes}
-    every = (*paper_methods(quick), *methods)
-    return Study(methods=every, reference=reference(quick), quick=quick, **changes)
-
-
-def units(study: Study) -> list[Unit]:
-    """All work in the order in which it is done: a training comes before the first rows that need it."""
-    work: dict[str, Unit] = {}
-    for method in study.methods:
-        for seed in (None,) if method.training is None else study.seeds:
-            if method.training is not None and seed is not None:
-                unit = TrainingUnit(training=method.training, seed=seed)
-                work.setdefault(unit.file, unit)
-            for protocol in PROTOCOLS:
-                unit = RowsUnit(method=method, seed=seed, protocol=protocol)
-                work[unit.file] = unit
-    return list(work.values())
-
-
-def bench_of(study: Study) -> Bench:
-    """The world and the scenes of a study, with their chance."""
-    problem = study.world.scenario.problem()
-    kept: dict[tuple[str, int], list[Scene]] = {}
-    for scene in table1(problem, study.scene_seed):
-        kept.setdefault((scene.motion, len(scene.targets)), []).append(scene)
-    scenes = [scene for cell in kept.values() for scene in cell[: study.scenes_per_cell]]
-    suite = prepare(problem, study.world.scenario.scenes, scenes, study.noise_seed)
-    return Bench(world=study.world, suite=suite)
-
-
-def key(study: Study, unit: Unit, scenes: tuple[Scene, ...]) -> str:
-    """A digest of all that a unit's result depends on, code of the same version aside."""
-    words: dict[str, Any] = {"foveate": __version__, "version": VERSION}
-    if isinstance(unit, TrainingUnit):
-        words |= {"experiment": digest(unit.training.experiment), "seed": unit.seed}
-    else:
-        method = unit.method
-        words |= {
-            "world": digest(study.world),
-            "scenes": [asdict(scene) for scene in scenes],
-            "noise_seed": study.noise_seed,
-            "method": [type(method).__name__, method.name, method.revision, method.settings(unit.protocol)],
-            "protocol": unit.protocol,
-        }
-        if method.training is not None and unit.seed is not None:
-            words["training"] = key(study, TrainingUnit(training=method.training, seed=unit.seed), scenes)
-    return hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()
 
 
 def reproduce(
@@ -253,8 +115,8 @@ def _is_begun(run: Path, experiment: Experiment, seed: int) -> bool:
 def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, found: Any, note: Say) -> Part:
     """The rows of a unit, made now or kept."""
     if found is None:
-        training, total = unit.method.training, len(bench.suite.scenes)
-        policy = None if training is None else load_run(out / TRAININGS / f"{training.name}-{unit.seed}")[1]
+        total = len(bench.suite.scenes)
+        policy = None if unit.training is None else trained_policy(out, unit.training)
         rows = unit.method.rows(bench, unit.protocol, policy, lambda done: note(f"{done} of {total} episodes"))
         write_json(path, {"key": wanted, "result": [asdict(row) for row in rows]})
     else:
@@ -263,3 +125,8 @@ def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, foun
     return Part(
         method=method.name, family=method.family, training_seed=unit.seed, protocol=unit.protocol, rows=tuple(rows)
     )
+
+
+def trained_policy(out: Path, unit: TrainingUnit) -> Policy:
+    """The policy of a training that is done."""
+    return load_run(out / TRAININGS / unit.name)[1]

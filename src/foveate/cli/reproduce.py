@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from foveate.comparison import Comparison
     from foveate.methods import Method
-    from foveate.reproduction import Study
+    from foveate.study import Study
 
 
 @dataclass(kw_only=True)
@@ -43,9 +43,13 @@ class Reproduce:
 
     def run_command(self) -> int:
         """Do what is not done yet, write the files, print the tables."""
-        from foveate.cli.common import Bar
+        from foveate.cli.common import Bar, compile_fast
+
+        if self.quick:
+            compile_fast()
         from foveate.publication import publish
-        from foveate.reproduction import reproduce, units
+        from foveate.reproduction import reproduce
+        from foveate.study import units
 
         study = self._study()
         out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
@@ -66,7 +70,7 @@ class Reproduce:
 
     def _study(self) -> "Study":
         from foveate.cli.common import check_seed
-        from foveate.reproduction import paper_study
+        from foveate.study import paper_study
 
         for seed in self.seeds or ():
             check_seed(seed, "--seeds")
