@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
 from foveate.comparison import Overall
 from foveate.drawing import (
@@ -36,6 +36,8 @@ from foveate.settings import Experiment
 
 HALO = withStroke(linewidth=2.5, foreground="white")
 """Keeps a label legible that a line runs through."""
+PANEL_POINTS = 260.0
+"""Height of a panel of the Pareto figure, nearly."""
 GRID = 200
 """Points along a mean curve."""
 DUEL = (BLUE, VERMILLION)
@@ -117,13 +119,13 @@ def _mean_curve(axes: Axes, curves: Sequence[Curve], what: str, color: str) -> N
     axes.plot(grid, values.mean(axis=0), color=color, lw=2, marker="o" if len(grid) == 1 else "")
 
 
-def _log_axis(axes: Axes) -> None:
-    """A logarithmic x axis with numbers to read at 1, 2 and 5; wide enough that there are some."""
+def _log_axis(axes: Axes, subs: Sequence[float] = (1.0, 2.0, 5.0), right: float = 1.6) -> None:
+    """A logarithmic x axis with numbers that are read at once; wide enough that there are some."""
     low, high = axes.dataLim.intervalx
     axes.set_xscale("log")
-    axes.set_xlim(low / 1.6, high * 1.6)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.set_xlim(low / 1.6, high * right)
+    axes.xaxis.set_major_locator(LogLocator(subs=tuple(subs)))
+    axes.xaxis.set_major_formatter(EngFormatter(sep="") if high > 1e3 else FuncFormatter(lambda x, _: f"{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
@@ -215,17 +217,18 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     for one in overall:
         color, marker = STYLES.get(one.family, (BLACK, "o"))
         axes.plot(1e3 * one.step_time_s, one.mean, color=color, marker=marker, ms=6, mec="white", mew=0.6, zorder=3)
-    axes.set_xscale("log")
     axes.grid(color=PALE, lw=0.6)
     clean(axes, 9.0)
     axes.set_xlabel("time of a decision [ms]", fontsize=9.5)
-    axes.margins(x=0.25, y=0.08)
+    axes.margins(y=0.08)
     low, high = axes.get_ylim()
-    for one, height in zip(overall, _apart(overall, 0.035 * (high - low)), strict=True):
-        axes.annotate(
-            one.method, (1e3 * one.step_time_s, one.mean),
-            (1e3 * one.step_time_s * 1.2, height), fontsize=8, va="center", zorder=4, path_effects=[HALO],
+    _log_axis(axes, (1.0,), right=4.0)
+    for one, height in zip(overall, _apart(overall, 0.036 * (high - low)), strict=True):
+        label = axes.annotate(
+            one.method, (1e3 * one.step_time_s, one.mean), (6, (height - one.mean) / (high - low) * PANEL_POINTS),
+            textcoords="offset points", fontsize=8, va="center", zorder=4, path_effects=[HALO],
         )  # fmt: skip
+        label.set_in_layout(False)
 
 
 def _apart(overall: Sequence[Overall], least: float) -> list[float]:

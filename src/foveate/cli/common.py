@@ -128,7 +128,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     for row in rows:
         table.add_row(*row)
     # Not a terminal: no colours, and as wide as the table needs.
-    console = Console() if sys.stdout.isatty() else Console(width=160, no_color=True)
+    console = Console() if sys.stdout.isatty() else Console(width=200, no_color=True)
     console.print(table)
 
 

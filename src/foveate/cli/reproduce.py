@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from foveate.methods import Method
     from foveate.study import Study
 
+WIDE = 175
+"""Columns of a terminal that has room for intervals, too."""
+
 
 @dataclass(kw_only=True)
 class Reproduce:
@@ -104,6 +107,15 @@ def _own(place: str) -> "list[Method]":
     return ours
 
 
+def _slim(cell: str) -> str:
+    """A cell as a terminal has room for it: on a narrow one the mean alone."""
+    import shutil
+    import sys
+
+    wide = not sys.stdout.isatty() or shutil.get_terminal_size().columns >= WIDE
+    return cell if wide else cell.partition(" ±")[0].partition(" [")[0]
+
+
 def _print(study: "Study", comparison: "Comparison") -> None:
     from foveate.cli.common import print_table
     from foveate.publication import heading
@@ -112,5 +124,5 @@ def _print(study: "Study", comparison: "Comparison") -> None:
     print(heading(study))
     for protocol in ("surrogate", "true"):
         for table in (scores(comparison, protocol), differences(comparison, protocol)):
-            print_table(table.title, table.header, table.rows)
+            print_table(table.title, table.header, [[_slim(cell) for cell in row] for row in table.rows])
             print(table.note)
