@@ -63,6 +63,7 @@ def _facts(study: Study, trained: Sequence[Trained]) -> dict[str, Any]:
         "quick": study.quick,
         "scene_seed": study.scene_seed,
         "scenes_per_cell": study.scenes_per_cell,
+        "targets": study.targets,
         "noise_seed": study.noise_seed,
         "training_seeds": list(study.seeds),
         "world": digest(study.world),

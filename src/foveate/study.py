@@ -16,13 +16,16 @@ from foveate.settings import PRESETS, Experiment
 VERSION = 1
 """Of the files of units; raised, too, when methods of ours do otherwise than before."""
 QUICK_SCENES = 3
+QUICK_TARGETS = (3, 5)
+"""As many sizes as cores compile side by side: compilation is most of a quick look."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
     """What is to be found out: which methods, on which scenes, trained with which seeds.
 
-    `scenes_per_cell`: the first so many scenes of every cell. `noise_seed` draws the chance in the scenes.
+    `scenes_per_cell`: the first so many scenes of every cell; `targets`: only of cells with so many targets (None: all).
+    `noise_seed` draws the chance in the scenes.
     """
 
     methods: tuple[Method, ...]
@@ -30,6 +33,7 @@ class Study:
     seeds: tuple[int, ...] = (0, 10, 100)
     scene_seed: int = SUITE_SEED
     scenes_per_cell: int = 30
+    targets: tuple[int, ...] | None = None
     noise_seed: int = 0
     quick: bool = False
     world: Experiment = PRESETS["paper"]
@@ -108,7 +112,7 @@ Unit = TrainingUnit | RowsUnit
 def paper_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
     """The paper's suite, with further `methods`; the quick one has one seed, short trainings and few scenes."""
     if quick:
-        changes = {"seeds": (0,), "scenes_per_cell": QUICK_SCENES, **changes}
+        changes = {"seeds": (0,), "scenes_per_cell": QUICK_SCENES, "targets": QUICK_TARGETS, **changes}
     every = (*paper_methods(quick), *methods)
     return Study(methods=every, reference=reference(quick), quick=quick, **changes)
 
@@ -131,7 +135,8 @@ def bench_of(study: Study) -> Bench:
     problem = study.world.scenario.problem()
     kept: dict[tuple[str, int], list[Scene]] = {}
     for scene in table1(problem, study.scene_seed):
-        kept.setdefault((scene.motion, len(scene.targets)), []).append(scene)
+        if study.targets is None or len(scene.targets) in study.targets:
+            kept.setdefault((scene.motion, len(scene.targets)), []).append(scene)
     scenes = [scene for cell in kept.values() for scene in cell[: study.scenes_per_cell]]
     suite = prepare(problem, study.world.scenario.scenes, scenes, study.noise_seed)
     return Bench(world=study.world, suite=suite)

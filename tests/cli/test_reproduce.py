@@ -28,10 +28,10 @@ FEW = PlanSettings(starts=1, iterations=2)
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Two scenes of two targets, a training of two epochs, no omniscience: what is nearest is the best there is."""
+    """Two scenes a cell, a training of two epochs, no omniscience: what is nearest is the best there is."""
 
     def scenes(problem, seed=2023):
-        cells = ((2, False), (2, True))
+        cells = ((3, False), (3, True))
         return [s for n, biased in cells for s in suite(TINY.scenario.scenes, problem, seed, n, 2, biased)]
 
     def nearest(world):
@@ -118,7 +118,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
-    row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[1, 0.5], [9, 9]], "horizon": 3}
+    row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
     scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
     arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--closeness"]
     assert main(["evaluate", "paper", *arguments, "--json", str(out)]) == 0

@@ -34,7 +34,7 @@ class Reproduce:
     suite: Literal["paper"] = "paper"
     """What to reproduce: the paper's table 1, with its figures."""
     quick: bool = False
-    """One seed, a short training, 3 scenes a cell, fewer planners; marked as such in all that is written."""
+    """One seed, a short training, 3 scenes a cell of 3 and 5 targets, fewer planners; marked in all that is written."""
     seeds: tuple[int, ...] | None = None
     """Training seeds (default: 0 10 100; quick: 0)."""
     scene_seed: int = 2023
