@@ -24,7 +24,7 @@ QUICK_TARGETS = (3, 5)
 class Study:
     """What is to be found out: which methods, on which scenes, trained with which seeds.
 
-    `scenes_per_cell`: the first so many scenes of every cell; `targets`: only of cells with so many targets (None: all).
+    `scenes_per_cell`: the first so many scenes of every cell; `targets`: of cells with so many targets (None: all).
     `noise_seed` draws the chance in the scenes.
     """
 
