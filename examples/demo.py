@@ -5,22 +5,19 @@
 Leaves config, checkpoint, metrics, table and pictures in runs/demo/.
 """
 
-import os
 import shutil
 import time
-from importlib.metadata import version
 from pathlib import Path
 
-if version("jax").startswith("0.10."):
-    # The first run waits for compilation more than for training: this takes 10 s off it. Another JAX may not know it.
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+from foveate.cli.common import Bar, compile_fast, keep_compiled, print_table
+
+compile_fast()  # the first run waits for compilation more than for training: this takes 10 s off it
 
 import jax
 import numpy as np
 
 from foveate.animation import animate
 from foveate.checkpoint import load_run
-from foveate.cli.common import Bar, keep_compiled, print_table
 from foveate.episodes import table1
 from foveate.evaluation import evaluate, prepare, result, simulate, summarise
 from foveate.figures import learning_curve, trajectory_figure

@@ -9,7 +9,7 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 FLOORS = [
-    ["types", "linalg", "checks", "files", "configuration", "arrays", "published"],
+    ["types", "linalg", "checks", "files", "configuration", "arrays", "published", "statistics"],
     ["geometry.lie", "geometry.space", "geometry.safe", "geometry.fov", "geometry.fov_spatial"],
     ["models.agent", "models.target", "models.sensor", "models.belief"],
     [
@@ -22,11 +22,12 @@ FLOORS = [
     ],
     [
         *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
+        *("closeness", "comparison", "methods", "study"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
     [
         *("learning.sensitivity", "learning.policy_gradient", "learning.judging", "learning.training"),
-        *("learning.torch_attention", "learning.vec_env", "learning.ppo"),
+        *("learning.torch_attention", "learning.vec_env", "learning.ppo", "learning.learner", "reproduction"),
     ],
     [
         "drawing",
@@ -34,6 +35,9 @@ FLOORS = [
         "drawing_spatial",
         "stages",
         "figures",
+        "figures_comparison",
+        "report",
+        "publication",
         "animation",
         "gym",
         "export",

@@ -74,7 +74,8 @@ def broken(tracks: Float[np.ndarray, "instants n d"], shown: Bool[np.ndarray, "i
 class Stage:
     """A planar scene in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
 
-    `trail` is how many steps back trails and path reach, None for all. `scale` grows the symbols.
+    `trail` is how many steps back trails and path reach, None for all. `scale` grows the symbols. A `tint` is the one
+    colour of agent and beliefs, for several agents in the same axes.
     """
 
     axes_class: ClassVar[Any] = Axes
@@ -92,7 +93,16 @@ class Stage:
         side = min(height - bottom - top, 0.54 * width)
         return 56.0, bottom, side, side
 
-    def __init__(self, axes: Axes, film: Film, box: np.ndarray, trail: int | None = None, scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        axes: Axes,
+        film: Film,
+        box: np.ndarray,
+        trail: int | None = None,
+        scale: float = 1.0,
+        tint: str | None = None,
+    ) -> None:
+        own, seen, unseen, view = (tint,) * 4 if tint else (AGENT, SEEN, UNSEEN, SKY)
         self.axes, self.film, self.arc, self.trail = axes, film, film.arc(), trail
         self.size = 0.035 * scale * float(box[1, 0] - box[0, 0])
         axes.set_aspect("equal")
@@ -103,20 +113,20 @@ class Stage:
             return axes.add_line(Line2D([], [], color=color, **style))
 
         blank = np.zeros((3, 2))
-        border = {"facecolor": SKY + "55", "edgecolor": AGENT, "lw": 0.7 * scale}
+        border = {"facecolor": view + "55", "edgecolor": own, "lw": 0.7 * scale}
         self.views = [Polygon(blank, zorder=1, **border) for _ in film.outline]
-        self.path = line(AGENT, lw=1.4 * scale, zorder=2)
+        self.path = line(own, lw=1.4 * scale, zorder=2)
         self.trails = line(GREY, lw=0.9 * scale, zorder=2)
-        self.unseen = PolyCollection([], facecolors=UNSEEN + "22", edgecolors=UNSEEN, zorder=3)
+        self.unseen = PolyCollection([], facecolors=unseen + "22", edgecolors=unseen, zorder=3)
         self.unseen.set(linewidth=1.0 * scale, linestyle=(0, (3, 2)))
-        self.seen = PolyCollection([], facecolors=SEEN + "40", edgecolors=SEEN, linewidth=1.3 * scale, zorder=5)
+        self.seen = PolyCollection([], facecolors=seen + "40", edgecolors=seen, linewidth=1.3 * scale, zorder=5)
         axes.add_collection(self.unseen, autolim=False)
         axes.add_collection(self.seen, autolim=False)
         cross = {"ls": "none", "marker": "x", "ms": 6.5 * scale, "mew": 1.3 * scale}
-        self.unseen_means = line(UNSEEN, zorder=4, **cross)
-        self.seen_means = line(SEEN, zorder=6, **cross)
+        self.unseen_means = line(unseen, zorder=4, **cross)
+        self.seen_means = line(seen, zorder=6, **cross)
         self.targets = line(BLACK, ls="none", marker="s", ms=2.8 * scale, zorder=7)
-        self.agent = Polygon(blank, facecolor=AGENT, edgecolor="white", lw=0.4 * scale, zorder=8)
+        self.agent = Polygon(blank, facecolor=own, edgecolor="white", lw=0.4 * scale, zorder=8)
         for patch in (*self.views, self.agent):
             axes.add_patch(patch)
 

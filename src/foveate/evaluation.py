@@ -21,6 +21,7 @@ from foveate.problem import Episode, Policy, Problem, Trace, Truth
 from foveate.rollout import PROTOCOLS, Protocol, observe, predict, rollout, start
 from foveate.scenario import SceneSettings
 from foveate.scenes import Scene
+from foveate.statistics import mean_interval
 
 CHUNK = 256
 """Episodes that run side by side: bounds memory, and every suite runs the same compiled program."""
@@ -59,8 +60,9 @@ class Row:
 class Summary:
     """One cell: a method, a protocol, a motion, a number of targets.
 
-    `std` is over episodes; `ci95` the normal 95 % interval of the mean, scenes taken as independent; `nees_band`
-    is where 95 % of such means lie if the filter's covariance is right.
+    `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
+    is where 95 % of such means lie if the filter's covariance is right. `closeness`: how far the mean gets from the
+    floor, never seeing anything (0), to the omniscient planner's (1); null where that was not asked for.
     """
 
     method: str
@@ -76,6 +78,7 @@ class Summary:
     nees: float
     nees_band: tuple[float, float]
     episodes: int
+    closeness: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,7 +273,6 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
         by_scene.setdefault(row.scene, []).append(score)
     # Episodes of one scene share its layout, so the scene is the unit that is independent.
     means = np.array([np.mean(values) for values in by_scene.values()])
-    half = Z95 * means.std(ddof=1) / math.sqrt(len(means)) if len(means) > 1 else 0.0
     return Summary(
         method=first.method,
         protocol=first.protocol,
@@ -278,7 +280,7 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
         targets=first.targets,
         mean=float(scores.mean()),
         std=float(scores.std(ddof=1)) if len(scores) > 1 else 0.0,
-        ci95=(float(means.mean() - half), float(means.mean() + half)),
+        ci95=mean_interval(means),
         seen_fraction=mean("seen_fraction"),
         seen_step_fraction=mean("seen_step_fraction"),
         rmse_m=mean("rmse_m"),

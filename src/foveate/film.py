@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from foveate.evaluation import Suite, simulate
 from foveate.geometry.space import Space
 from foveate.poses import arc, positions
-from foveate.problem import Problem, Trace
+from foveate.problem import Policy, Problem, Trace
+from foveate.rollout import PROTOCOLS
 
 SUBSTEPS = 6
 """Poses that `Film.arc` gives for each step; divisible by 1, 2 and 3, the frames a step may have."""
@@ -151,3 +154,19 @@ def film(
         present=present,
         outline=tuple(np.asarray(line, float) for line in ([outline] if isinstance(outline, np.ndarray) else outline)),
     )
+
+
+def films(suite: Suite, policy: Policy, protocol: str, name: str) -> list[Film]:
+    """A policy of that name in every scene of a suite: the episodes whose rows an evaluation gives."""
+    trace = simulate(suite, policy, PROTOCOLS[protocol])
+    return [
+        film(
+            suite.problem,
+            jax.tree.map(lambda x, i=i: x[i], trace),
+            np.asarray(suite.truth.state[i]),
+            scene.horizon,
+            len(scene.targets),
+            f"{name}, {scene.id}, {protocol} protocol",
+        )
+        for i, scene in enumerate(suite.scenes)
+    ]

@@ -1,6 +1,9 @@
 """Planners as methods of an evaluation: same scenes, noise and rows as every policy."""
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +11,7 @@ import jax.numpy as jnp
 from foveate.evaluation import Row, decision_time, prepare, rows_of, simulate
 from foveate.planning.receding import OpenLoop, Receding
 from foveate.planning.shooting import PlanSettings
-from foveate.problem import Policy, Problem
+from foveate.problem import Policy, Problem, Trace
 from foveate.rollout import PROTOCOLS
 from foveate.scenario import SceneSettings
 from foveate.scenes import Scene
@@ -42,22 +45,31 @@ def planner_rows(
     """One row an episode, in the order of the scenes; `policy_of` gives the planner for episodes of so many steps.
 
     Scenes of one size share a program, so that no planner plans for padding; `report` is called with the number
-    of episodes that are done.
+    of episodes that are done. `step_time_s` is that of the largest size, as for a policy in an evaluation.
     """
     sizes: dict[tuple[int, int], list[Scene]] = {}
     for scene in scenes:
         sizes.setdefault((len(scene.targets), scene.horizon), []).append(scene)
+    suites = {size: prepare(problem, scene_settings, group, seed, episodes) for size, group in sizes.items()}
+    done, lock = dict.fromkeys(sizes, 0), Lock()
+
+    def run(size: tuple[int, int]) -> Trace:
+        count = len(sizes[size]) * episodes
+
+        def tell(more: int) -> None:
+            with lock:
+                done[size] = more
+                report(sum(done.values()))
+
+        return simulate(suites[size], policy_of(size[1]), PROTOCOLS[protocol], min(TOGETHER, count), tell)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # compilation, most of the wait, runs side by side
+        traces = dict(zip(sizes, pool.map(run, sizes), strict=True))
+    largest = max(sizes)
+    policy, first = policy_of(largest[1]), jax.tree.map(lambda x: x[0], suites[largest].episodes)
+    time = decision_time(problem, policy, first, with_start=isinstance(policy, OpenLoop))
     found: dict[str, list[Row]] = {}
-    done = 0
-    for (_, horizon), group in sizes.items():
-        suite, policy = prepare(problem, scene_settings, group, seed, episodes), policy_of(horizon)
-        count = len(group) * episodes
-        first = jax.tree.map(lambda x: x[0], suite.episodes)
-        trace = simulate(
-            suite, policy, PROTOCOLS[protocol], min(TOGETHER, count), lambda more, before=done: report(before + more)
-        )
-        time = decision_time(problem, policy, first, with_start=isinstance(policy, OpenLoop))
-        for row in rows_of(suite, method, protocol, trace, [time] * count):
+    for size, suite in suites.items():
+        for row in rows_of(suite, method, protocol, traces[size], [time] * (len(sizes[size]) * episodes)):
             found.setdefault(row.scene, []).append(row)
-        done += count
     return [row for scene in scenes for row in found[scene.id]]

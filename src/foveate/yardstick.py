@@ -170,18 +170,24 @@ def _solve_all(
     for i in range(len(action)):
         scene = suite.scenes[i // suite.episodes_per_scene]
         sizes.setdefault((max(1, len(scene.targets)), scene.horizon), []).append(i)
+    parts = [[rows[i : i + TOGETHER] for i in range(0, len(rows), TOGETHER)] for rows in sizes.values()]
+
+    def calls(size: tuple[int, int], groups: list[list[int]]) -> list[tuple]:
+        filled = [np.array((group * TOGETHER)[:TOGETHER]) for group in groups]
+        return [(suite.problem, _cropped(futures, rows, *size), settings, keys[rows]) for rows in filled]
+
+    work = [calls(size, groups) for size, groups in zip(sizes, parts, strict=True)]
+    solver: Any = eqx.filter_jit(_solve)
     done = 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for (targets, steps), rows in sizes.items():
-            parts = [rows[i : i + TOGETHER] for i in range(0, len(rows), TOGETHER)]
-            filled = [np.array((part * TOGETHER)[:TOGETHER]) for part in parts]
-            calls = [(suite.problem, _cropped(futures, f, targets, steps), settings, keys[f]) for f in filled]
-            solver: Any = eqx.filter_jit(_solve)
-            solve = solver.lower(*calls[0]).compile()
+        programs = list(pool.map(lambda some: solver.lower(*some[0]).compile(), work))
+        for (size, rows), groups, some, solve in zip(sizes.items(), parts, work, programs, strict=True):
             began = time.perf_counter()
-            for part, found in zip(parts, pool.map(lambda call, run=solve: np.asarray(run(*call)), calls), strict=True):
-                action[part, :steps] = found[: len(part)]
-                done += len(part)
+            for group, found in zip(
+                groups, pool.map(lambda call, run=solve: np.asarray(run(*call)), some), strict=True
+            ):
+                action[group, : size[1]] = found[: len(group)]
+                done += len(group)
                 report(done)
             seconds[rows] = (time.perf_counter() - began) / len(rows)
     return action, seconds

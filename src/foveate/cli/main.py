@@ -14,6 +14,7 @@ from foveate.cli.fit import Fit
 from foveate.cli.plan import Plan
 from foveate.cli.render import Render
 from foveate.cli.replay import Replay
+from foveate.cli.reproduce import Reproduce
 from foveate.cli.train import Train
 
 DESCRIPTION = """Teach a mobile agent with a limited field of view where to look.
@@ -33,6 +34,7 @@ def _command(kind: type, name: str) -> Any:
 COMMANDS = {
     "train": Train,
     "evaluate": Evaluate,
+    "reproduce": Reproduce,
     "plan": Plan,
     "fit": Fit,
     "replay": Replay,

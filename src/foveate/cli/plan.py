@@ -151,15 +151,15 @@ class Plan:
         )
 
     def _settings(self, protocol: str) -> "PlanSettings":
-        from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED
+        from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, refining
 
+        if self.refine is not None:
+            return refining(protocol, self.refine)
         settings = OMNISCIENT[protocol] if self.omniscient else ONLINE[protocol]
-        if self.starts is None and self.refine is None and not self.omniscient:
+        if self.starts is None and not self.omniscient:
             settings = PUBLISHED
         if self.open_loop:
             settings = replace(settings, iterations=OMNISCIENT[protocol].iterations)
-        if self.refine is not None:  # from what the policy would do, and from the last plan
-            return replace(settings, starts=2, iterations=self.refine)
         if self.starts is not None:
             settings = replace(settings, starts=self.starts)
         if self.iterations is not None:

@@ -33,15 +33,11 @@ class Render:
 
     def run_command(self) -> int:
         """Simulate the scenes, draw them, say what was written."""
-        import jax
-        import numpy as np
-
         from foveate.animation import animate
         from foveate.cli.common import check_methods, check_output, check_seed, experiment_of, policy_of, scenes_of
-        from foveate.evaluation import prepare, simulate
+        from foveate.evaluation import prepare
         from foveate.figures import trajectory_figure
-        from foveate.film import film
-        from foveate.rollout import PROTOCOLS
+        from foveate.film import films
 
         moving = self.out.suffix.lower() in (".gif", ".mp4")
         if not moving and self.out.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -58,22 +54,11 @@ class Render:
         chosen = self._chosen(known, name, moving)
         problem = experiment.scenario.problem()
         suite = prepare(problem, experiment.scenario.scenes, chosen, self.seed)
-        trace = simulate(suite, policy, PROTOCOLS[self.protocol])
-        films = [
-            film(
-                problem,
-                jax.tree.map(lambda x, i=i: x[i], trace),
-                np.asarray(suite.truth.state[i]),
-                scene.horizon,
-                len(scene.targets),
-                f"{method}, {scene.id}, {self.protocol} protocol",
-            )
-            for i, scene in enumerate(chosen)
-        ]
+        shown = films(suite, policy, self.protocol, method)
         if moving:
-            animate(films[0], self.out)
+            animate(shown[0], self.out)
         else:
-            trajectory_figure(films, self.out)
+            trajectory_figure(shown, self.out)
         print(f"{self.out}: {', '.join(scene.id for scene in chosen)}")
         return 0
 

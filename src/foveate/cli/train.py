@@ -79,7 +79,7 @@ class Train:
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
         """Train with a bar that counts epochs, of PPO steps."""
         from foveate.cli.common import Bar
-        from foveate.learning import ppo, training
+        from foveate.learning.learner import train
         from foveate.settings import PPOSettings
 
         settings = experiment.training
@@ -96,9 +96,7 @@ class Train:
                     bar.say(f"epoch {check.epoch}: {check.event}")
 
             try:
-                if by_ppo:
-                    return ppo.train(experiment, out, seed, report)
-                return training.train(experiment, out, seed, self.resume is not None, report)
+                return train(experiment, out, seed, self.resume is not None, report)
             except KeyboardInterrupt:
                 how = "its best so far is kept" if by_ppo else f"go on with  foveate train --resume {out}"
                 bar.say(f"interrupted: {how}")

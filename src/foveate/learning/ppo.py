@@ -22,6 +22,7 @@ from tensorboardX import SummaryWriter
 from foveate.checkpoint import BEST, save_tree
 from foveate.environment import Environment
 from foveate.learning.judging import Check, Outcome, claim, held_out_episodes, judge, write_check
+from foveate.policies.attention import AttentionSettings
 from foveate.settings import Experiment, PPOSettings
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class _Judge:
         """One check; sets `stopped` where a number is not finite."""
         from foveate.learning.torch_attention import ActorAndCritic, to_jax
 
-        policy = to_jax(cast(ActorAndCritic, model.policy).actor, self.problem, self.experiment.policy)
+        policy = to_jax(cast(ActorAndCritic, model.policy).actor, self.problem, network_of(self.experiment))
         held_out, at_limit = (float(x) for x in self.assess(policy))
         finite = _is_finite(model) and math.isfinite(held_out)
         best = finite and held_out > self.best_score
@@ -93,6 +94,7 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
     training = experiment.training
     if not isinstance(training, PPOSettings):
         raise ValueError("training.algorithm is missing: expected 'ppo'")
+    network_of(experiment)
     _require_extra()
     claim(out, experiment)
     with SummaryWriter(str(out)) as events, _one_thread():
@@ -114,6 +116,13 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
     )
 
 
+def network_of(experiment: Experiment) -> AttentionSettings:
+    """The network that PPO trains. Raises ValueError for one that has no twin in PyTorch here."""
+    if not isinstance(experiment.policy, AttentionSettings):
+        raise ValueError(f"policy.kind = '{experiment.policy.kind}': expected 'attention', the network that PPO trains")
+    return experiment.policy
+
+
 def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
     """Stable-Baselines3's PPO on the experiment's environments, before its first step."""
     from stable_baselines3 import PPO
@@ -124,7 +133,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
     problem = experiment.scenario.problem()
     environment = Environment(problem, experiment.scenario.scenes, training.protocol, training.noise)
     vec_env = TargetsVecEnv(
-        environment, experiment.policy, training.environments, jax.random.key(seed), training.reward_scale
+        environment, network_of(experiment), training.environments, jax.random.key(seed), training.reward_scale
     )
     rate = training.learning_rate
     return PPO(
@@ -142,7 +151,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
         max_grad_norm=training.gradient_bound,
         policy_kwargs={
             "problem": problem,
-            "settings": experiment.policy,
+            "settings": network_of(experiment),
             "critic_sees_time": training.critic_sees_time,
             "log_std_init": training.log_std,
         },

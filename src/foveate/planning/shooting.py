@@ -5,7 +5,7 @@ control limits, step size, iterations and window here are ours: raw actions pass
 steps. Beyond the publication: many starts, most of them tours of the targets, and a view that hardens on the way.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -69,6 +69,11 @@ ONLINE = {
 }
 """For a plan at every step: few steps from the last plan; where a target really will be is not known, so that the
 soft view says better than the real one what is worth keeping."""
+
+
+def refining(protocol: str, steps: int) -> PlanSettings:
+    """Online plans that take so many steps from two starts: what a policy would do, and the last plan."""
+    return replace(ONLINE[protocol], starts=2, iterations=steps)
 
 
 class Plan(eqx.Module):

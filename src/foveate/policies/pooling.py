@@ -68,7 +68,8 @@ class PoolingSettings:
             (embedding, self.heads),
             (self.heads * embedding, *self.out_widths, len(problem.agent.axes)),
         )
-        return PoolingPolicy(*fresh_layers(widths, key), problem.agent.space, self.length_m)
+        target, query, out = fresh_layers(widths, key)
+        return PoolingPolicy(target, query, out, problem.agent.space, self.length_m)
 
 
 class PoolingPolicy(Policy):

@@ -1,0 +1,128 @@
+"""`foveate reproduce`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from foveate.comparison import Comparison
+    from foveate.methods import Method
+    from foveate.study import Study
+
+WIDE = 175
+"""Columns of a terminal that has room for intervals, too."""
+
+
+@dataclass(kw_only=True)
+class Reproduce:
+    """Make the paper's comparison anew: every learner, every method, the same scenes; tables and figures.
+
+    Learners with three seeds, planners, a policy refined by a planner, policies made by hand, and the omniscient
+    planner as the yardstick, each under both protocols. Into --out: table.md, table.json (every episode, the summary
+    with closeness, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one run
+    folder a training. Ctrl-C is safe: the same command goes on where it stopped, and a call with other settings makes
+    anew only what depends on them.
+
+      foveate reproduce --quick                        # minutes: short training, few scenes; a look, not a result
+      foveate reproduce                                # the whole of it: an hour or so on 2 cores
+      foveate reproduce --scene-seed 7 --out runs/reproduce-7     # the same on scenes that nobody has seen
+      foveate reproduce --add examples/own_method.py:METHOD       # with a method of your own beside the others
+    """
+
+    suite: Literal["paper"] = "paper"
+    """What to reproduce: the paper's table 1, with its figures."""
+    quick: bool = False
+    """One seed, a short training, 3 scenes a cell of 3 and 5 targets, fewer planners; marked in all that is written."""
+    seeds: tuple[int, ...] | None = None
+    """Training seeds (default: 0 10 100; quick: 0)."""
+    scene_seed: int = 2023
+    """Seed of the scenes; table1 proper is the default."""
+    add: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE.py:NAME ..")] = ()
+    """Methods of your own: records of foveate.methods, or tuples of them, in Python files. Runs these files."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for all that is written (default: runs/reproduce; quick: runs/reproduce-quick)."""
+
+    def run_command(self) -> int:
+        """Do what is not done yet, write the files, print the tables."""
+        from foveate.cli.common import Bar, compile_fast
+
+        if self.quick:
+            compile_fast()
+        from foveate.publication import publish
+        from foveate.reproduction import reproduce
+        from foveate.study import units
+
+        study = self._study()
+        out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
+        if out.exists() and not out.is_dir():
+            raise ValueError(f"{out}: is no folder: choose another place")
+        total = len(units(study))
+        with Bar(f"reproducing {self.suite}", total, "units") as bar:
+            try:
+                parts, trained = reproduce(study, out, bar.update, bar.say)
+                bar.update(total, "tables and figures")
+                comparison = publish(study, out, parts, trained)
+            except KeyboardInterrupt:
+                bar.say(f"interrupted: what is done is kept in {out}; the same command goes on from there")
+                raise
+        _print(study, comparison)
+        print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
+        return 0
+
+    def _study(self) -> "Study":
+        from foveate.cli.common import check_seed
+        from foveate.study import paper_study
+
+        for seed in self.seeds or ():
+            check_seed(seed, "--seeds")
+        check_seed(self.scene_seed, "--scene-seed")
+        changes = {} if self.seeds is None else {"seeds": self.seeds}
+        own = tuple(method for place in self.add for method in _own(place))
+        return paper_study(self.quick, own, scene_seed=self.scene_seed, **changes)
+
+
+def _own(place: str) -> "list[Method]":
+    """The methods that FILE.py:NAME means. Raises ValueError where there are none."""
+    import importlib.util
+    import sys
+
+    from foveate.methods import Method
+
+    file, _, name = place.rpartition(":")
+    if not file.endswith(".py") or not Path(file).is_file():
+        raise ValueError(f"--add {place}: expected FILE.py:NAME of a file that is there")
+    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+    assert spec is not None, "a name that ends in .py has a loader"
+    assert spec.loader is not None, "a name that ends in .py has a loader"
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up there
+    spec.loader.exec_module(module)
+    found = getattr(module, name, None)
+    methods = list(found) if isinstance(found, tuple | list) else [found]
+    ours = [method for method in methods if isinstance(method, Method)]
+    if not ours or len(ours) < len(methods):
+        raise ValueError(f"--add {place}: expected a record of foveate.methods, or a tuple of them, of that name")
+    return ours
+
+
+def _slim(cell: str) -> str:
+    """A cell as a terminal has room for it: on a narrow one the mean alone."""
+    import shutil
+    import sys
+
+    wide = not sys.stdout.isatty() or shutil.get_terminal_size().columns >= WIDE
+    return cell if wide else cell.partition(" ±")[0].partition(" [")[0]
+
+
+def _print(study: "Study", comparison: "Comparison") -> None:
+    from foveate.cli.common import print_table
+    from foveate.publication import heading
+    from foveate.report import differences, scores
+
+    print(heading(study))
+    for protocol in ("surrogate", "true"):
+        for table in (scores(comparison, protocol), differences(comparison, protocol)):
+            print_table(table.title, table.header, [[_slim(cell) for cell in row] for row in table.rows])
+            print(table.note)

@@ -1,0 +1,130 @@
+"""The results of a study as files: table.md, table.json and figures."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from foveate import __version__
+from foveate.closeness import floors
+from foveate.comparison import Comparison, Part, as_json, compare
+from foveate.configuration import digest
+from foveate.evaluation import prepare
+from foveate.figures_comparison import curve_of, duel_figure, learning_curves, pareto_figure
+from foveate.files import write_atomic, write_json
+from foveate.film import Film, films
+from foveate.methods import PROTOCOLS, Acting, Bench, can_train
+from foveate.report import markdown, tables
+from foveate.reproduction import Trained, trained_policy
+from foveate.settings import PPO
+from foveate.study import RowsUnit, Study, bench_of
+
+TABLE, DATA = "table.md", "table.json"
+RIVAL = "ppo"
+"""Whom the reference meets in the pictures, if it is there; else the best method made by hand."""
+
+
+def publish(study: Study, out: Path, parts: Sequence[Part], trained: Sequence[Trained]) -> Comparison:
+    """Write all files into the folder `out`, and give what they show."""
+    bench = bench_of(study)
+    problem = bench.suite.problem
+    comparison = compare(parts, study.reference, floors(problem, bench.suite.scenes), problem.motion.state_size)
+    write_json(out / DATA, as_json(comparison, _facts(study, trained)))
+    figures = {"pareto.png": "Score against the time of a decision"}
+    pareto_figure(comparison.overall, out / "pareto.png")
+    if trained:
+        figures["learning.png"] = "Held-out score against environment steps and time: mean over seeds, worst to best"
+        learning_curves(_curves(trained), out / "learning.png")
+    for protocol in PROTOCOLS:
+        if (rival := _rival(study, comparison, protocol)) is not None:
+            file = f"trajectories-{protocol}.png"
+            figures[file] = f"{study.reference} and {rival.name} in the same scenes, {protocol} protocol"
+            duel_figure((study.reference, rival.name), _duels(study, bench, out, rival, protocol), out / file)
+    found = [table for protocol in PROTOCOLS for table in tables(comparison, protocol)]
+    text = markdown(heading(study), _conditions(study, trained), found, figures)
+    write_atomic(out / TABLE, text.encode())
+    return comparison
+
+
+def heading(study: Study) -> str:
+    """What a study is, in a line; a quick one says so."""
+    scenes = f"{study.scenes_per_cell} scenes a cell"
+    return f"QUICK LOOK, not a result: {scenes}, short trainings" if study.quick else f"The paper's table 1, {scenes}"
+
+
+def _facts(study: Study, trained: Sequence[Trained]) -> dict[str, Any]:
+    """What the data were made with."""
+    return {
+        "foveate": __version__,
+        "suite": "paper",
+        "scenes": "table1",
+        "quick": study.quick,
+        "scene_seed": study.scene_seed,
+        "scenes_per_cell": study.scenes_per_cell,
+        "targets": study.targets,
+        "noise_seed": study.noise_seed,
+        "training_seeds": list(study.seeds),
+        "world": digest(study.world),
+        "trainings": [
+            {"name": one.name, "seed": one.seed, "experiment": digest(one.experiment), **asdict(one.outcome)}
+            for one in trained
+        ],
+    }
+
+
+def _conditions(study: Study, trained: Sequence[Trained]) -> dict[str, str]:
+    """The same for readers."""
+    stopped = [f"{one.name}-{one.seed}: {one.outcome.stopped}" for one in trained if one.outcome.stopped]
+    missing = [name for name in PPO if not can_train(name)]
+    returns = [f"{one.name}-{one.seed} ({one.outcome.returns})" for one in trained if one.outcome.returns]
+    return {
+        "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
+        f"one noise draw a scene (seed {study.noise_seed}), the same for every method",
+        "training seeds": ", ".join(map(str, study.seeds)) + (" (trainings cut short)" if study.quick else ""),
+        "reference": study.reference,
+        "collapsed trainings that went back to their best": ", ".join(returns) or "none",
+        "trainings that stopped early": "; ".join(stopped) or "none",
+        "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
+        "versions": f"foveate {__version__}, jax {jax.__version__}, {os.cpu_count()} cores",
+    }
+
+
+def _curves(trained: Sequence[Trained]):
+    """The learning curves by learner, and the protocol that judged each."""
+    found: dict[str, tuple[str, list]] = {}
+    for one in trained:
+        select = one.experiment.training.select
+        found.setdefault(one.name, (select, []))[1].append(curve_of(one.run))
+    return found
+
+
+def _rival(study: Study, comparison: Comparison, protocol: str) -> Acting | None:
+    """Whom the reference is drawn with; None where one of the two is no policy."""
+    methods = {method.name: method for method in study.methods if isinstance(method, Acting)}
+    if study.reference not in methods:
+        return None
+    if RIVAL in methods and study.reference != RIVAL:
+        return methods[RIVAL]
+    by_hand = [one for one in comparison.overall if one.protocol == protocol and one.family == "made by hand"]
+    best = max(by_hand, key=lambda one: one.mean, default=None)
+    return None if best is None else methods.get(best.method)
+
+
+def _duels(study: Study, bench: Bench, out: Path, rival: Acting, protocol: str) -> list[tuple[Film, Film]]:
+    """Both in the first biased scene of every number of targets; of trained ones the policy of the first seed."""
+    first: dict[int, Any] = {}
+    for scene in bench.suite.scenes:
+        if scene.motion == "biased":
+            first.setdefault(len(scene.targets), scene)
+    scenes = list(first.values())
+    suite = prepare(bench.suite.problem, study.world.scenario.scenes, scenes, study.noise_seed)
+    shown = []
+    for method in (next(one for one in study.methods if one.name == study.reference), rival):
+        assert isinstance(method, Acting)
+        unit = RowsUnit(method=method, seed=study.seeds[0], protocol=protocol)
+        policy = None if unit.training is None else trained_policy(out, unit.training)
+        shown.append(films(suite, method.policy(study.world, policy), protocol, method.name))
+    return list(zip(*shown, strict=True))

@@ -1,0 +1,131 @@
+"""`foveate reproduce` and `evaluate --closeness` as a user meets them, on a suite and a training that take seconds."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_cli import check_contract, failure
+
+from foveate import closeness, study
+from foveate.cli.main import main
+from foveate.episodes import suite
+from foveate.methods import Fixed, Learned, Training
+from foveate.planning.shooting import PlanSettings
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.handmade import handmade
+from foveate.settings import PRESETS
+
+OWN = Path(__file__).parents[2] / "examples" / "own_method.py"
+TINY = replace(
+    PRESETS["paper"],
+    policy=AttentionSettings(agent_widths=(4,), target_widths=(4,), out_widths=(4,)),
+    training=replace(PRESETS["paper"].training, epochs=2, episodes=2, held_out=2, check_every=1),
+)
+FEW = PlanSettings(starts=1, iterations=2)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two scenes a cell, a training of two epochs, no omniscience: what is nearest is the best there is."""
+
+    def scenes(problem, seed=2023):
+        cells = ((3, False), (3, True))
+        return [s for n, biased in cells for s in suite(TINY.scenario.scenes, problem, seed, n, 2, biased)]
+
+    def nearest(world):
+        return handmade("nearest", world.scenario.problem(), 2.0)
+
+    ceiling = Fixed(name="omniscient", family="omniscient", make=nearest)
+    methods = (ceiling, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
+    monkeypatch.setattr(study, "table1", scenes)
+    monkeypatch.setattr(study, "paper_methods", lambda quick: methods)
+    monkeypatch.setattr(closeness, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XLA_FLAGS", "")
+
+
+def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "a" / "out"
+    arguments = ["reproduce", "--quick", "--out", str(out), "--add", f"{OWN}:METHOD"]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "QUICK LOOK" in printed
+    assert "near-uncertain" in printed
+    files = {path.name for path in out.iterdir() if path.is_file()}
+    pictures = {"learning.png", "pareto.png", "trajectories-surrogate.png", "trajectories-true.png"}
+    assert files == {"table.md", "table.json", *pictures}
+    for name in pictures:
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+    text = (out / "table.md").read_text()
+    assert "QUICK LOOK" in text.splitlines()[0]
+    for name in pictures:
+        assert f"]({name})" in text
+    _check_data(json.loads((out / "table.json").read_text()))
+    times = {path: path.stat().st_mtime_ns for path in (out / "units").iterdir()}
+    assert len(times) == 7
+    assert main(arguments) == 0
+    assert {path: path.stat().st_mtime_ns for path in (out / "units").iterdir()} == times
+    check_contract("evaluate", out / "table.json")
+
+
+def _check_data(data: dict) -> None:
+    """The rules of the contract, and the story of the rows."""
+    assert data["quick"] is True
+    assert len(data["rows"]) == 3 * 2 * 4
+    for row in data["rows"]:
+        assert {"scene", "seed", "method", "protocol", "targets", "entropy", "step_time_s"} <= set(row)
+        for name in ("score", "seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"):
+            assert isinstance(row[name], int | float)
+            assert math.isfinite(row[name])
+        assert row["training_seed"] == (0 if row["method"] == "paper" else None)
+    for cell in data["summary"]:
+        assert cell["protocol"] in ("surrogate", "true")
+        assert cell["motion"] in ("unbiased", "biased")
+        assert len(cell["ci95"]) == 2
+    own = [cell for cell in data["summary"] if cell["method"] == "omniscient"]
+    assert [cell["closeness"] for cell in own] == [1.0] * 4
+    assert {one["method"] for one in data["differences"]} == {"omniscient", "near-uncertain"}
+    assert all(one["p"] <= one["p_holm"] <= 1 for one in data["differences"])
+    assert [(one["name"], one["seed"], one["epochs"]) for one in data["trainings"]] == [("paper", 0, 2)]
+
+
+def test_interrupted_it_says_how_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Fixed, "rows", interrupted)
+    assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 130
+    assert "the same command goes on" in " ".join(capsys.readouterr().err.split())
+
+
+def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "own.py").write_text("METHOD = 3\n")
+    out = ("--out", str(tmp_path / "out"))
+    assert "--scene-seed -1" in failure(capsys, "reproduce", "--scene-seed", "-1", *out)
+    assert "--seeds -1" in failure(capsys, "reproduce", "--seeds", "0", "-1", *out)
+    assert "each once" in failure(capsys, "reproduce", "--quick", "--seeds", "1", "1", *out)
+    assert "is no folder" in failure(capsys, "reproduce", "--quick", "--out", str(tmp_path / "file"))
+    assert "FILE.py:NAME" in failure(capsys, "reproduce", "--quick", "--add", "nowhere.py:METHOD", *out)
+    assert "expected a record" in failure(capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:METHOD", *out)
+    assert "expected a record" in failure(capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:NONE", *out)
+    assert not (tmp_path / "out").exists()
+
+
+def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
+    scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
+    row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
+    scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
+    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--closeness"]
+    assert main(["evaluate", "paper", *arguments, "--json", str(out)]) == 0
+    plan = tmp_path / "plan.json"
+    options = ["--omniscient", "--starts", "1", "--iterations", "2", "--protocol", "true"]
+    assert main(["plan", "--scenes", str(scenes), *options, "--json", str(plan)]) == 0
+    ours, best = (json.loads(path.read_text())["summary"][0] for path in (out, plan))
+    lowest = -2 * math.log(2 + 0.05**2 * 3)
+    assert ours["closeness"] == pytest.approx((ours["mean"] - lowest) / (best["mean"] - lowest))
+    check_contract("evaluate", out)

@@ -1,0 +1,240 @@
+"""Units of a study: done once, gone on with, made anew when what they depend on has changed."""
+
+import json
+from dataclasses import dataclass, replace
+
+import pytest
+
+from foveate import reproduction, study
+from foveate.episodes import suite
+from foveate.evaluation import Row
+from foveate.learning.training import Outcome
+from foveate.methods import Learned, Method, Training, paper_methods, reference
+from foveate.problem import Policy
+from foveate.reproduction import TRAININGS, UNITS, reproduce
+from foveate.settings import PRESETS
+from foveate.study import Study, units
+
+EXPERIMENT = PRESETS["paper"]
+SHORTER = replace(EXPERIMENT, training=replace(EXPERIMENT.training, epochs=7))
+CALLS: list[str] = []
+
+
+class Named(Policy):
+    """A policy that has nothing but a name."""
+
+    name: str
+
+    def __call__(self, observation, memory, key):
+        raise AssertionError("nobody asks it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeUp(Method):
+    """Rows without a simulation; says when it is asked for them."""
+
+    family: str = "made up"
+    starts: int = 1
+
+    def rows(self, bench, protocol, policy, report):
+        CALLS.append(f"{self.name} {protocol} {policy and policy.name}")
+        report(len(bench.suite.scenes))
+        numbers = {"score": 1.5, "seen_fraction": 0.5, "seen_step_fraction": 0.25, "longest_unseen_s": 3.0}
+        numbers |= {"entropy": 0.1, "rmse_m": 0.2, "nees": 2.0, "step_time_s": 1e-3}
+        names = {"method": self.name, "protocol": protocol, "episode": 0, "seed": 0}
+        return [
+            Row(scene=scene.id, motion=scene.motion, targets=len(scene.targets), **names, **numbers)
+            for scene in bench.suite.scenes
+        ]
+
+    def settings(self, protocol):
+        return {"starts": self.starts}
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    """Two scenes of one target, trainings that only leave their files behind."""
+
+    def two_scenes(problem, seed):
+        scenes = EXPERIMENT.scenario.scenes
+        return [scene for biased in (False, True) for scene in suite(scenes, problem, seed, 1, 3, biased)]
+
+    def train(experiment, run, seed, resume, report):
+        CALLS.append(f"train {run.name} resume={resume}")
+        (run / "checkpoint").mkdir(parents=True, exist_ok=True)
+        (run / reproduction.LAST).write_text("")
+        (run / reproduction.BEST).write_text("")
+        return Outcome(epochs=1, best_epoch=1, best_score=2.0, returns=0, stopped="")
+
+    CALLS.clear()
+    monkeypatch.setattr(study, "table1", two_scenes)
+    monkeypatch.setattr(reproduction, "train", train)
+    monkeypatch.setattr(reproduction, "load_run", lambda run: (EXPERIMENT, Named(run.name), {}))
+    monkeypatch.setattr(reproduction, "stored_run", lambda run: (EXPERIMENT, 0))
+
+
+def a_study(experiment=EXPERIMENT, starts=1, **changes) -> Study:
+    methods = (
+        MadeUp(name="planner", starts=starts),
+        MadeUp(name="policy", training=Training(name="net", experiment=experiment)),
+    )
+    return Study(**{"methods": methods, "reference": "policy", "seeds": (0, 10), "scenes_per_cell": 2, **changes})
+
+
+def test_units_stand_in_an_order_that_can_be_done():
+    assert [unit.file for unit in units(a_study(seeds=(5,)))] == [
+        "rows-planner-surrogate.json",
+        "rows-planner-true.json",
+        "training-net-5.json",
+        "rows-policy-5-surrogate.json",
+        "rows-policy-5-true.json",
+    ]
+    two = (Learned(name="one", training=Training(name="net", experiment=EXPERIMENT)), *a_study().methods)
+    assert len(units(a_study(methods=two, seeds=(0,)))) == 7
+
+
+def test_all_is_done_once_and_comes_back(tmp_path):
+    told = []
+    parts, trained = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
+    assert CALLS == [
+        "planner surrogate None",
+        "planner true None",
+        "train net-0 resume=False",
+        "policy surrogate net-0",
+        "policy true net-0",
+        "train net-10 resume=False",
+        "policy surrogate net-10",
+        "policy true net-10",
+    ]
+    assert [(part.method, part.training_seed, part.protocol) for part in parts[:3]] == [
+        ("planner", None, "surrogate"),
+        ("planner", None, "true"),
+        ("policy", 0, "surrogate"),
+    ]
+    assert {row.scene for row in parts[0].rows} == {f"{word}-1-0{i}" for word in ("unbiased", "biased") for i in (0, 1)}
+    assert [(one.name, one.seed, one.outcome.best_score) for one in trained] == [("net", 0, 2.0), ("net", 10, 2.0)]
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert (0, "planner, surrogate: 4 of 4 episodes") in told
+    CALLS.clear()
+    times = {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()}
+    assert reproduce(a_study(), tmp_path) == (parts, trained)
+    assert CALLS == []
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()} == times
+
+
+def test_interrupted_after_a_unit_it_goes_on_from_there(tmp_path):
+    def stop(done, what):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(a_study(), tmp_path, stop)
+    assert CALLS == ["planner surrogate None"]
+    first = tmp_path / UNITS / "rows-planner-surrogate.json"
+    before = first.stat().st_mtime_ns
+    CALLS.clear()
+    reproduce(a_study(), tmp_path)
+    assert CALLS[0] == "planner true None"
+    assert "planner surrogate None" not in CALLS
+    assert first.stat().st_mtime_ns == before
+
+
+def test_a_training_that_was_cut_short_goes_on(tmp_path):
+    run = tmp_path / TRAININGS / "net-0"
+    (run / "checkpoint").mkdir(parents=True)
+    (run / reproduction.LAST).write_text("")
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    assert "train net-0 resume=True" in CALLS
+
+
+@pytest.mark.parametrize(
+    ("change", "again"),
+    [
+        ({"starts": 2}, ["planner surrogate None", "planner true None"]),
+        ({"experiment": SHORTER}, ["train net-0 resume=False", "policy surrogate net-0", "policy true net-0"]),
+        ({"scene_seed": 7}, [f"{who} {how}" for who, how in (
+            ("planner surrogate", "None"), ("planner true", "None"),
+            ("policy surrogate", "net-0"), ("policy true", "net-0"))]),
+        ({"seeds": (0, 3)}, ["train net-3 resume=False", "policy surrogate net-3", "policy true net-3"]),
+    ],
+)  # fmt: skip
+def test_what_was_made_with_other_settings_is_made_anew(tmp_path, change, again):
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    CALLS.clear()
+    said = []
+    reproduce(a_study(**{"seeds": (0,), **change}), tmp_path, say=said.append)
+    assert again == CALLS
+    if "seeds" not in change:
+        assert sum("made with other settings" in line for line in said) == len(again)
+
+
+def test_a_changed_revision_or_version_makes_anew(tmp_path, monkeypatch):
+    (planner, _) = a_study().methods
+    reproduce(a_study(methods=(planner,), reference="planner"), tmp_path)
+    reproduce(a_study(methods=(replace(planner, revision=2),), reference="planner"), tmp_path)
+    assert len(CALLS) == 4
+    monkeypatch.setattr(study, "__version__", "99")
+    reproduce(a_study(methods=(replace(planner, revision=2),), reference="planner"), tmp_path)
+    assert len(CALLS) == 6
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"key": ', "[1]"])
+def test_a_damaged_unit_is_made_anew(tmp_path, content):
+    reproduce(a_study(), tmp_path)
+    CALLS.clear()
+    said = []
+    path = tmp_path / UNITS / "rows-planner-true.json"
+    whole = path.read_text()
+    path.write_text(content)
+    reproduce(a_study(), tmp_path, say=said.append)
+    assert CALLS == ["planner true None"]
+    assert len(said) == 1
+    assert str(path) in said[0]
+    assert path.read_text() == whole
+
+
+def test_a_run_folder_that_is_gone_is_trained_anew(tmp_path):
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    CALLS.clear()
+    (tmp_path / TRAININGS / "net-0" / reproduction.BEST).unlink()
+    (tmp_path / TRAININGS / "net-0" / reproduction.LAST).unlink()
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    assert CALLS == ["train net-0 resume=False"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"reference": "nobody"}, "reference nobody: expected one of the methods planner, policy"),
+        ({"seeds": ()}, "at least one"),
+        ({"seeds": (1, 1)}, "each once"),
+        ({"methods": (MadeUp(name="policy"), MadeUp(name="policy"))}, "policy: is given twice"),
+        (
+            {
+                "methods": (
+                    MadeUp(name="policy", training=Training(name="net", experiment=EXPERIMENT)),
+                    MadeUp(name="other", training=Training(name="net", experiment=SHORTER)),
+                )
+            },
+            "net: means two experiments",
+        ),
+    ],
+)
+def test_a_study_that_makes_no_sense_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        a_study(**changes)
+
+
+def test_the_papers_methods_hold_every_kind():
+    for quick in (False, True):
+        methods = {method.name: method for method in paper_methods(quick)}
+        assert {"omniscient", "paper", "refine-10", "icr", "nearest", "uncertain", "lawnmower"} <= set(methods)
+        assert reference(quick) in methods
+        refined = methods["refine-10"].training
+        assert refined is methods[reference(quick)].training
+        # What stands in the units' keys can be written as JSON.
+        assert json.dumps([method.settings("true") for method in methods.values()])
+    assert {"best", "icr-16"} <= {method.name for method in paper_methods()}
+    short = {method.name: method for method in paper_methods(quick=True)}["paper"].training
+    assert short is not None
+    assert short.experiment.training.epochs < EXPERIMENT.training.epochs
