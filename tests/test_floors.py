@@ -26,7 +26,13 @@ FLOORS = [
         *("recorded", "motion_fit", "fit", "replay"),
     ],
     [
-        *("learning.sensitivity", "learning.policy_gradient", "learning.judging", "learning.training"),
+        *(
+            "learning.sensitivity",
+            "learning.policy_gradient",
+            "learning.imitation",
+            "learning.judging",
+            "learning.training",
+        ),
         *("learning.torch_attention", "learning.vec_env", "learning.ppo", "learning.learner", "reproduction"),
     ],
     [

@@ -48,7 +48,8 @@ class TrainingSettings(LearningSettings):
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
     or the share of time in view ("seen"). `feedback` is the share of the gradient that goes through what the policy
     sees: 1 the total derivative, 0 the one that the paper prints, with the policy's inputs held; the former's tails are
-    a thousand times as heavy. The policy is judged every `check_every` epochs.
+    a thousand times as heavy. Before all that, in the first share of the epochs, `lessons`, the policy learns to act
+    as a `teacher` made by hand does. The policy is judged every `check_every` epochs.
     """
 
     epochs: int = 1000
@@ -58,6 +59,8 @@ class TrainingSettings(LearningSettings):
     gradient_bound: float = 10.0
     objective: Literal["terminal", "mean", "seen"] = "terminal"
     feedback: float = 1.0
+    teacher: Literal["nearest", "uncertain", "lawnmower"] = "uncertain"
+    lessons: float = 0.0
     check_every: int = 50
 
     def __post_init__(self) -> None:
@@ -66,6 +69,12 @@ class TrainingSettings(LearningSettings):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         positive(self, "learning_rate", "gradient_bound")
         require(0 <= self.feedback <= 1, "feedback", self.feedback, "expected 0 to 1")
+        require(0 <= self.lessons <= 1, "lessons", self.lessons, "expected a share, 0 to 1")
+
+    @property
+    def lesson_epochs(self) -> int:
+        """The first so many epochs are lessons."""
+        return round(self.lessons * self.epochs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 Reverse mode through one scan, so the cost does not grow with the number of parameters.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -91,8 +92,12 @@ def objective(
     return episode_score(values, episode, settings.objective == "terminal")
 
 
+Worth = Callable[[Problem, Policy, Episode, TrainingSettings, Key], Float[Array, ""]]
+"""What is ascended, of one episode."""
+
+
 def epoch(
-    problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key
+    problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key, worth: Worth
 ) -> tuple[Learner, Report]:
     """One step of ascent on a fresh batch; the chance of epoch i comes from (key, i) alone."""
     parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
@@ -104,7 +109,7 @@ def epoch(
     def loss(parameters):
         policy = eqx.combine(parameters, rest)
         keys = jax.random.split(policy_key, settings.episodes)
-        return -jnp.mean(jax.vmap(lambda e, k: objective(problem, policy, e, settings, k))(batch, keys))
+        return -jnp.mean(jax.vmap(lambda e, k: worth(problem, policy, e, settings, k))(batch, keys))
 
     value, gradient = jax.value_and_grad(loss)(parameters)
     norm = optax.tree.norm(gradient)
@@ -121,8 +126,9 @@ def epochs(
     count: Count,
     learner: Learner,
     key: Key,
+    worth: Worth = objective,
 ) -> tuple[Learner, Report]:
-    """`count` epochs in one compiled loop: the mean objective, the largest norm, and whether all were finite.
+    """`count` epochs in one compiled loop: the mean of what is ascended, the largest norm, and whether all were finite.
 
     An epoch that is not finite changes nothing: the learner stays as it was before it.
     """
@@ -130,7 +136,7 @@ def epochs(
 
     def step(_, carry):
         arrays, total = carry
-        after, now = epoch(problem, scenes, settings, eqx.combine(arrays, static), key)
+        after, now = epoch(problem, scenes, settings, eqx.combine(arrays, static), key, worth)
         kept = jax.tree.map(lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays)
         sums = Report(
             total.objective + now.objective,

@@ -16,8 +16,10 @@ from foveate.arrays import load_arrays
 from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree
 from foveate.configuration import load_toml
 from foveate.files import write_atomic
+from foveate.learning.imitation import likeness
 from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
-from foveate.learning.policy_gradient import Learner, begin, epochs
+from foveate.learning.policy_gradient import Learner, Worth, begin, epochs
+from foveate.policies.handmade import handmade
 from foveate.settings import Experiment, TrainingSettings
 
 COLLAPSED_SHARE = 0.9
@@ -71,13 +73,17 @@ def train(
     # Keys and scenes are arguments, not constants, so that all seeds share one compiled program.
     scenes = experiment.scenario.scenes
     advance = eqx.filter_jit(lambda count, learner, key: epochs(problem, scenes, training, count, learner, key))
+    teach = eqx.filter_jit(
+        lambda count, learner, key: epochs(problem, scenes, training, count, learner, key, _lesson(experiment))
+    )
     assess = eqx.filter_jit(lambda policy, episodes, key: judge(experiment, problem, policy, episodes, key))
     began, stopped = time.perf_counter() - elapsed, ""
     with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
         while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
-            count = min(training.check_every, training.epochs - done)
+            is_lesson = done < training.lesson_epochs
+            count = min(training.check_every, (training.lesson_epochs if is_lesson else training.epochs) - done)
             started = time.perf_counter()
-            learner, numbers = advance(jnp.array(count), progress.learner, keys[2])
+            learner, numbers = (teach if is_lesson else advance)(jnp.array(count), progress.learner, keys[2])
             score, at_limit = (float(x) for x in assess(learner.policy, episodes, keys[3]))
             finite = bool(numbers.finite) and jnp.isfinite(score)
             progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite), training.objective)
@@ -103,6 +109,14 @@ def train(
         returns=int(progress.returns),
         stopped=stopped,
     )
+
+
+def _lesson(experiment: Experiment) -> Worth:
+    """What is ascended in lessons: likeness to the teacher."""
+    scenario, settings = experiment.scenario, experiment.training
+    assert isinstance(settings, TrainingSettings), "PPO has no lessons"
+    teacher = handmade(settings.teacher, scenario.problem(), float(scenario.view.depth_m))
+    return lambda problem, policy, episode, settings, key: likeness(problem, policy, teacher, episode, settings, key)
 
 
 def _is_low(score: float, best: float, objective: str) -> bool:
