@@ -11,7 +11,6 @@ from jax.flatten_util import ravel_pytree
 
 from foveate.geometry import fov, fov_spatial, lie
 from foveate.geometry.space import SPACES
-from foveate.learning.policy_gradient import Held
 from foveate.learning.sensitivity import policy_gradient
 from foveate.lifting import Lifted, lifted_episode, lifted_problem
 from foveate.models.agent import Agent
@@ -20,7 +19,7 @@ from foveate.models.target import LinearGaussian
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.handmade import Lawnmower
 from foveate.problem import Episode, Problem, Schedule
-from foveate.rollout import Protocol, log_dets
+from foveate.rollout import EXACT, Flow, Protocol, log_dets
 from foveate.scenario import Scenario
 
 VIEWS = {
@@ -82,8 +81,8 @@ def made(name: str, seed: int = 0, steps: int = 5):
     return problem, policy, episode
 
 
-def objective(problem, policy, episode, softness=PAPER_SOFTNESS):
-    values = log_dets(problem, policy, episode, Protocol(levels=(softness,)), jax.random.key(0))
+def objective(problem, policy, episode, softness=PAPER_SOFTNESS, flow=EXACT):
+    values = log_dets(problem, policy, episode, Protocol(levels=(softness,)), jax.random.key(0), flow)
     return jnp.sum(jnp.where(episode.present, values[episode.horizon - 1], 0.0))
 
 
@@ -145,13 +144,15 @@ def test_the_printed_form_is_partial():
 def test_a_learner_with_its_inputs_held_takes_the_printed_gradient():
     problem, policy, episode = made("six axes, cone", steps=4)
     softness = Softness(0.7, 0.6)
-    reverse = eqx.filter_jit(eqx.filter_grad(lambda p, share: objective(problem, Held(p, share), episode, softness)))
+    reverse = eqx.filter_jit(eqx.filter_grad(lambda p, flow: objective(problem, p, episode, softness, flow)))
     gradients = {
         total: flat(policy_gradient(problem, policy, episode, softness, total=total)[1]) for total in (False, True)
     }
     for total, expected in gradients.items():
-        np.testing.assert_allclose(flat(reverse(policy, float(total))), expected, atol=1e-9 * np.linalg.norm(expected))
-    half = flat(reverse(policy, 0.5))
+        np.testing.assert_allclose(
+            flat(reverse(policy, Flow(feedback=float(total)))), expected, atol=1e-9 * np.linalg.norm(expected)
+        )
+    half = flat(reverse(policy, Flow(feedback=0.5)))
     assert min(np.linalg.norm(half - other) for other in gradients.values()) > 1e-3 * np.linalg.norm(half)
 
 

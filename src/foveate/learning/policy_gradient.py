@@ -4,7 +4,6 @@ Reverse mode through one scan, so the cost does not grow with the number of para
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,11 +12,11 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from foveate.episodes import training_episode
-from foveate.problem import Episode, Observation, Policy, Problem, per_target
+from foveate.problem import Episode, Policy, Problem, per_target
 from foveate.rollout import log_dets, weights
 from foveate.scenario import SceneSettings
 from foveate.settings import TrainingSettings
-from foveate.types import Action, Count, Key, Scalar
+from foveate.types import Count, Key, Scalar
 
 
 class Learner(eqx.Module):
@@ -61,34 +60,12 @@ def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool)
     return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
 
 
-class Held(Policy):
-    """A policy that does the same, while only a share `feedback` of the derivative passes through what it sees."""
-
-    policy: Policy
-    feedback: float = eqx.field(static=True)
-
-    def start(self, observation: Observation) -> Any:
-        """As the policy's."""
-        return self.policy.start(self._held(observation))
-
-    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
-        """As the policy's."""
-        return self.policy(self._held(observation), memory, key)
-
-    def _held(self, observation: Observation) -> Observation:
-        moving, rest = eqx.partition(observation, eqx.is_inexact_array)
-        still = jax.tree.map(jax.lax.stop_gradient, moving)
-        mixed = jax.tree.map(lambda x, y: self.feedback * x + (1 - self.feedback) * y, moving, still)
-        return eqx.combine(mixed if self.feedback > 0 else still, rest)
-
-
 def objective(
     problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
 ) -> Float[Array, ""]:
     """What training differentiates: log det [nat per target] or time in view of an episode, under the soft views."""
     earnings = weights if settings.objective == "seen" else log_dets
-    policy = Held(policy, settings.feedback) if settings.feedback < 1 else policy
-    values = earnings(problem, policy, episode, settings.protocol, key)
+    values = earnings(problem, policy, episode, settings.protocol, key, settings.flow)
     return episode_score(values, episode, settings.objective == "terminal")
 
 
