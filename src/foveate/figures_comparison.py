@@ -127,11 +127,11 @@ def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[Film, Film]], pat
     if not scenes:
         raise ValueError("no scene to draw: expected at least one")
     side = WIDTH / COLUMNS
-    figure = new_figure(WIDTH, (side + 0.3) * len(scenes) + 0.35)
+    figure = new_figure(WIDTH, (side + 0.45) * len(scenes) + 0.35)
     rows = figure.subfigures(len(scenes), 1, squeeze=False)[:, 0]
     for row, pair in zip(rows, scenes, strict=True):
         results = "   ".join(f"{name} {_score(film)}" for name, film in zip(names, pair, strict=True))
-        row.suptitle(f"{pair[0].targets} targets: {results}", x=0.01, ha="left", fontsize=9, fontweight="bold")
+        row.suptitle(f"{pair[0].targets} targets: {results}", x=0.01, y=0.99, va="top", ha="left", fontsize=9, fontweight="bold")
         box, film = limits(pair), pair[0]
         for column in range(COLUMNS):
             instant = round(film.steps * column / (COLUMNS - 1))
@@ -205,7 +205,7 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     axes.step([1e3 * one.step_time_s for one in front], [one.mean for one in front], where="post", color=GREY, lw=1.2)
     for one in overall:
         color, marker = STYLES.get(one.family, (BLACK, "o"))
-        axes.plot(1e3 * one.step_time_s, one.mean, color=color, marker=marker, ms=6, mec="white", mew=0.6, zorder=3)
+        axes.plot(1e3 * one.step_time_s, one.mean, color=color, marker=marker, ms=6, mec="white", mew=0.6, zorder=5)
     axes.grid(color=PALE, lw=0.6)
     clean(axes, 9.0)
     axes.set_xlabel("time of a decision [ms]", fontsize=9.5)
