@@ -131,7 +131,9 @@ def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[Film, Film]], pat
     rows = figure.subfigures(len(scenes), 1, squeeze=False)[:, 0]
     for row, pair in zip(rows, scenes, strict=True):
         results = "   ".join(f"{name} {_score(film)}" for name, film in zip(names, pair, strict=True))
-        row.suptitle(f"{pair[0].targets} targets: {results}", x=0.01, y=0.99, va="top", ha="left", fontsize=9, fontweight="bold")
+        row.suptitle(
+            f"{pair[0].targets} targets: {results}", x=0.01, y=0.99, va="top", ha="left", fontsize=9, fontweight="bold"
+        )
         box, film = limits(pair), pair[0]
         for column in range(COLUMNS):
             instant = round(film.steps * column / (COLUMNS - 1))

@@ -23,8 +23,9 @@ class Train:
     """
 
     preset: Literal["paper", "best", "quadrotor"] = "paper"
-    """paper: the paper's budget (about 20 s on 2 cores). best: higher scores, up to 10 minutes. quadrotor: a flying
-    camera over constant-velocity targets in space, some minutes."""
+    """paper: the paper's budget (about 20 s on 2 cores). best: another network, lessons and a damped gradient, higher
+    scores by far where targets have to be really seen (1 to 2 minutes). quadrotor: a flying camera over
+    constant-velocity targets in space, some minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
     algorithm: METHOD | None = None
