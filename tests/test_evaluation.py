@@ -161,7 +161,10 @@ def test_summary_statistics():
     scenes = [f"s{i}" for i in range(12) for _ in range(3)]
     score, nees, seen = rng.normal(3, 2, 36), rng.chisquare(2, 36), rng.random(36)
     given = [row(*values) for values in zip(scenes, score.tolist(), nees.tolist(), seen.tolist(), strict=True)]
+    given = [replace(one, episode=i % 3) for i, one in enumerate(given)]
     (cell,) = summarise(given, state_size=2)
+    (twice,) = summarise(given + given, state_size=2)
+    assert twice.nees_band == cell.nees_band, "the same chance twice, as for two training seeds, says nothing new"
     means = score.reshape(12, 3).mean(axis=1)
     half = student.ppf(0.975, 11) * means.std(ddof=1) / np.sqrt(12)
     expected = [score.mean(), score.std(ddof=1), seen.mean(), seen.mean() / 2, 2 * seen.mean(), nees.mean()]

@@ -18,6 +18,7 @@ from foveate.study import Study, units
 EXPERIMENT = PRESETS["paper"]
 SHORTER = replace(EXPERIMENT, training=replace(EXPERIMENT.training, epochs=7))
 CALLS: list[str] = []
+WEIGHTS = [""]
 
 
 class Named(Policy):
@@ -63,14 +64,14 @@ def small(monkeypatch):
         CALLS.append(f"train {run.name} resume={resume}")
         (run / "checkpoint").mkdir(parents=True, exist_ok=True)
         (run / reproduction.LAST).write_text("")
-        (run / reproduction.BEST).write_text("")
+        (run / reproduction.BEST).write_text(WEIGHTS[0])
         return Outcome(epochs=1, best_epoch=1, best_score=2.0, returns=0, stopped="")
 
     CALLS.clear()
+    WEIGHTS[:] = [""]
     monkeypatch.setattr(study, "table1", two_scenes)
     monkeypatch.setattr(reproduction, "train", train)
     monkeypatch.setattr(reproduction, "load_run", lambda run: (EXPERIMENT, Named(run.name), {}))
-    monkeypatch.setattr(reproduction, "stored_run", lambda run: (EXPERIMENT, 0))
 
 
 def a_study(experiment=EXPERIMENT, starts=1, **changes) -> Study:
@@ -139,12 +140,92 @@ def test_interrupted_after_a_unit_it_goes_on_from_there(tmp_path):
     assert first.stat().st_mtime_ns == before
 
 
-def test_a_training_that_was_cut_short_goes_on(tmp_path):
-    run = tmp_path / TRAININGS / "net-0"
-    (run / "checkpoint").mkdir(parents=True)
-    (run / reproduction.LAST).write_text("")
+def cut_short(tmp_path, monkeypatch):
+    """A study that was interrupted in the middle of a training."""
+    whole = reproduction.train
+
+    def stop(*given):
+        whole(*given)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(reproduction, "train", stop)
+        with pytest.raises(KeyboardInterrupt):
+            reproduce(a_study(seeds=(0,)), tmp_path)
+    CALLS.clear()
+    return whole
+
+
+def test_a_training_that_was_cut_short_goes_on(tmp_path, monkeypatch):
+    cut_short(tmp_path, monkeypatch)
     reproduce(a_study(seeds=(0,)), tmp_path)
-    assert "train net-0 resume=True" in CALLS
+    assert CALLS[0] == "train net-0 resume=True"
+
+
+def test_another_version_trains_anew_and_does_not_go_on(tmp_path, monkeypatch):
+    cut_short(tmp_path, monkeypatch)
+    monkeypatch.setattr(study, "__version__", "99")
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    assert "train net-0 resume=False" in CALLS
+    CALLS.clear()
+    monkeypatch.setattr(study, "__version__", "100")
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    assert "train net-0 resume=False" in CALLS
+
+
+def test_a_training_that_cannot_be_gone_on_with_is_made_anew(tmp_path, monkeypatch):
+    whole = cut_short(tmp_path, monkeypatch)
+
+    def refuse(experiment, run, seed, resume, report):
+        if resume:
+            raise ValueError("last.npz: holds other arrays")
+        return whole(experiment, run, seed, resume, report)
+
+    monkeypatch.setattr(reproduction, "train", refuse)
+    said = []
+    reproduce(a_study(seeds=(0,)), tmp_path, say=said.append)
+    assert CALLS[0] == "train net-0 resume=False"
+    assert "holds other arrays" in said[0]
+
+
+def test_rows_are_those_of_the_weights_that_lie_there(tmp_path):
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    (tmp_path / TRAININGS / "net-0" / reproduction.BEST).unlink()
+    CALLS.clear()
+    WEIGHTS[0] = "other"
+    reproduce(a_study(seeds=(0,)), tmp_path)
+    assert CALLS == ["train net-0 resume=False", "policy surrogate net-0", "policy true net-0"]
+
+
+def test_a_training_without_a_policy_is_said(tmp_path, monkeypatch):
+    nothing = Outcome(epochs=1, best_epoch=0, best_score=-float("inf"), returns=0, stopped="not finite")
+    monkeypatch.setattr(reproduction, "train", lambda *given: nothing)
+    with pytest.raises(ValueError, match=r"net-0: no check of this training was finite.*not finite"):
+        reproduce(a_study(seeds=(0,)), tmp_path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong(MadeUp):
+    """Leaves a scene out, or calls itself something else."""
+
+    how: str = ""
+
+    def rows(self, bench, protocol, policy, report):
+        rows = super().rows(bench, protocol, policy, report)
+        return rows[1:] if self.how == "missing" else [replace(row, method="me") for row in rows]
+
+
+@pytest.mark.parametrize(("how", "message"), [("missing", "gave 3 rows"), ("name", "name another method")])
+def test_rows_of_another_suite_or_method_are_refused(tmp_path, how, message):
+    with pytest.raises(ValueError, match=message):
+        reproduce(a_study(methods=(Wrong(name="mine", how=how),), reference="mine"), tmp_path)
+    assert not list((tmp_path / UNITS).iterdir())
+
+
+def test_two_methods_of_one_file_are_refused():
+    (_, policy) = a_study().methods
+    with pytest.raises(ValueError, match=r"rows-policy-0-surrogate\.json is another method's"):
+        units(a_study(methods=(policy, MadeUp(name="policy-0"))))
 
 
 @pytest.mark.parametrize(
@@ -208,6 +289,7 @@ def test_a_run_folder_that_is_gone_is_trained_anew(tmp_path):
         ({"reference": "nobody"}, "reference nobody: expected one of the methods planner, policy"),
         ({"seeds": ()}, "at least one"),
         ({"seeds": (1, 1)}, "each once"),
+        ({"methods": (MadeUp(name="../policy"),), "reference": "../policy"}, "expected letters"),
         ({"methods": (MadeUp(name="policy"), MadeUp(name="policy"))}, "policy: is given twice"),
         (
             {

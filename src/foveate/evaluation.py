@@ -285,7 +285,7 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
         seen_step_fraction=mean("seen_step_fraction"),
         rmse_m=mean("rmse_m"),
         nees=mean("nees"),
-        nees_band=chi_square_band(state_size, first.targets * len(rows)),
+        nees_band=chi_square_band(state_size, first.targets * len({(row.scene, row.episode) for row in rows})),
         episodes=len(rows),
     )
 

@@ -71,7 +71,8 @@ def scores(comparison: Comparison, protocol: str) -> Table:
     return Table(
         title=f"{protocol}: score per target [nat]",
         note=f"{PROTOCOLS[protocol]}. Mean over scenes (of trained methods: and over seeds) ± half of its 95 % "
-        "interval, scenes taken as independent; in brackets, the paper's standard deviation over episodes.",
+        "interval, scenes taken as independent, for the policies of these training seeds (what other seeds would bring "
+        "is in the table of seeds); in brackets, the paper's standard deviation over episodes.",
         header=("method", "kind", *map(_label, cells), "mean", "closeness", "seen", "decision [ms]"),
         rows=tuple(rows),
     )

@@ -4,33 +4,34 @@ A unit of work is a training, or the rows of a method for one training seed and 
 that its result depends on, and is written whole when the unit is done.
 """
 
+import hashlib
+import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from foveate.checkpoint import BEST, LAST, load_run
 from foveate.comparison import Part
-from foveate.configuration import digest
 from foveate.evaluation import Row
-from foveate.files import read_json, write_json
+from foveate.files import read_json, write_atomic, write_json
 from foveate.learning.judging import Check, Outcome
 from foveate.learning.learner import train
-from foveate.learning.training import stored_run
 from foveate.methods import Bench
 from foveate.problem import Policy
 from foveate.settings import Experiment, PPOSettings
 from foveate.study import RowsUnit, Study, TrainingUnit, bench_of, key, units
 
 UNITS, TRAININGS = "units", "trainings"
+T = TypeVar("T")
 Say = Callable[[str], None]
 """Takes a line for the user."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A training that is done: how it ended, and how long it took [s], interruptions left out."""
+    """A training that is done, and how it ended."""
 
     name: str
     seed: int
@@ -60,15 +61,14 @@ def reproduce(
             report(done, f"{name}: {what}")
 
         note("beginning")
-        found = _kept(path, wanted, say)
         if isinstance(unit, TrainingUnit):
-            trained.append(_training(unit, out / TRAININGS / unit.name, path, wanted, found, note, say))
+            trained.append(_training(unit, out / TRAININGS / unit.name, path, wanted, note, say))
         else:
-            parts.append(_rows(unit, bench, out, path, wanted, found, note))
+            parts.append(_rows(unit, bench, out, path, wanted, note, say))
     return parts, trained
 
 
-def _kept(path: Path, wanted: str, say: Say) -> Any:
+def _kept(path: Path, wanted: str, say: Say, read: Callable[[Any], T]) -> T | None:
     """What a unit's file holds; None where there is none, or one made with other settings or damaged."""
     if not path.exists():
         return None
@@ -80,13 +80,18 @@ def _kept(path: Path, wanted: str, say: Say) -> Any:
     if not isinstance(found, dict) or found.get("key") != wanted:
         say(f"{path}: was made with other settings, or by another version: made anew")
         return None
-    return found["result"]
+    try:
+        return read(found["result"])
+    except (KeyError, TypeError):
+        say(f"{path}: holds something else than it should: made anew")
+        return None
 
 
-def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, found: Any, note: Say, say: Say) -> Trained:
+def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, note: Say, say: Say) -> Trained:
     """Train, or go on with what was begun, unless it is done."""
     experiment = unit.training.experiment
-    if found is None or not (run / BEST).exists():
+    outcome = _kept(path, wanted, say, lambda result: Outcome(**result))
+    if outcome is None or not (run / BEST).exists():
         path.unlink(missing_ok=True)
 
         def report(check: Check, total: int) -> None:
@@ -95,39 +100,60 @@ def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, found: Any
             if check.event:
                 say(f"{run}: epoch {check.epoch}: {check.event}")
 
-        begun = _is_begun(run, experiment, unit.seed)
-        if not begun and run.exists():
-            say(f"{run}: cannot be gone on with: trained anew")
-            shutil.rmtree(run)
-        found = asdict(train(experiment, run, unit.seed, begun, report))
-        write_json(path, {"key": wanted, "result": found})
-    return Trained(name=unit.training.name, seed=unit.seed, run=run, experiment=experiment, outcome=Outcome(**found))
+        outcome = _train(unit, run, path.with_suffix(".begun"), wanted, report, say)
+        if not math.isfinite(outcome.best_score):
+            raise ValueError(f"{run}: no check of this training was finite, so there is no policy: {outcome.stopped}")
+        write_json(path, {"key": wanted, "result": asdict(outcome)})
+    return Trained(name=unit.training.name, seed=unit.seed, run=run, experiment=experiment, outcome=outcome)
 
 
-def _is_begun(run: Path, experiment: Experiment, seed: int) -> bool:
-    """Whether a run folder holds this very training, ready to go on."""
-    if not (run / LAST).exists():
-        return False
-    try:
-        begun, its_seed = stored_run(run)
-    except ValueError:
-        return False
-    return digest(begun) == digest(experiment) and its_seed == seed
+def _train(unit: TrainingUnit, run: Path, mark: Path, wanted: str, report, say: Say) -> Outcome:
+    """Go on with the run folder where it was begun under the same key, which `mark` holds; else train anew."""
+    experiment = unit.training.experiment
+    if _is_begun(run, mark, wanted, experiment):
+        try:
+            return train(experiment, run, unit.seed, True, report)
+        except ValueError as error:
+            say(str(error))
+    if run.exists():
+        say(f"{run}: cannot be gone on with: trained anew")
+        shutil.rmtree(run)
+    write_atomic(mark, wanted.encode())
+    return train(experiment, run, unit.seed, False, report)
 
 
-def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, found: Any, note: Say) -> Part:
-    """The rows of a unit, made now or kept."""
-    if found is None:
+def _is_begun(run: Path, mark: Path, wanted: str, experiment: Experiment) -> bool:
+    can_resume = not isinstance(experiment.training, PPOSettings)
+    there = mark.exists() and (run / LAST).exists() and (run / BEST).exists()
+    return can_resume and there and mark.read_text() == wanted
+
+
+def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, note: Say, say: Say) -> Part:
+    """The rows of a unit, made now or kept; those of a trained policy are of the very weights that lie there."""
+    if unit.training is not None:
+        weights = (out / TRAININGS / unit.training.name / BEST).read_bytes()
+        wanted = f"{wanted}-{hashlib.sha256(weights).hexdigest()[:16]}"
+    rows = _kept(path, wanted, say, lambda result: [Row(**row) for row in result])
+    if rows is None:
         total = len(bench.suite.scenes)
         policy = None if unit.training is None else trained_policy(out, unit.training)
         rows = unit.method.rows(bench, unit.protocol, policy, lambda done: note(f"{done} of {total} episodes"))
+        _check(unit, bench, rows)
         write_json(path, {"key": wanted, "result": [asdict(row) for row in rows]})
-    else:
-        rows = [Row(**row) for row in found]
     method = unit.method
     return Part(
         method=method.name, family=method.family, training_seed=unit.seed, protocol=unit.protocol, rows=tuple(rows)
     )
+
+
+def _check(unit: RowsUnit, bench: Bench, rows: Sequence[Row]) -> None:
+    """Raise ValueError where rows are not one an episode of the suite, under the unit's method and protocol."""
+    suite = bench.suite
+    expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
+    if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
+        raise ValueError(f"method {unit.method.name}: gave {len(rows)} rows: expected one an episode of the suite")
+    if {(row.method, row.protocol) for row in rows} - {(unit.method.name, unit.protocol)}:
+        raise ValueError(f"method {unit.method.name}: its rows name another method or protocol than {unit.protocol}")
 
 
 def trained_policy(out: Path, unit: TrainingUnit) -> Policy:

@@ -184,7 +184,7 @@ def act(
 
 
 def _damped(tree: PyTree, share: float) -> PyTree:
-    """The same values, of whose derivative only a share passes."""
+    """The same values to rounding, of whose derivative only a share passes."""
     if share == 1.0:
         return tree
     moving, rest = eqx.partition(tree, eqx.is_inexact_array)
@@ -198,8 +198,8 @@ def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol
     def step(carry, instant):
         state, memory = carry
         predicted = predict(problem, state, instant.known_input)
-        predicted = eqx.tree_at(lambda s: s.pose, predicted, _damped(predicted.pose, flow.foresight))
         observation = _damped(observe(predicted, instant.known_input, episode.horizon), flow.feedback)
+        predicted = eqx.tree_at(lambda s: s.pose, predicted, _damped(predicted.pose, flow.foresight))
         action, memory = policy(observation, memory, jax.random.fold_in(key, state.step))
         state, visible, weight = act(problem, protocol, predicted, instant, action)
         return (state, memory), record(state, action, visible, weight)

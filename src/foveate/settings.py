@@ -84,7 +84,8 @@ class TrainingSettings(LearningSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class PPOSettings(LearningSettings):
-    """How a policy is trained by proximal policy optimisation, model-free; the defaults are Stable-Baselines3's.
+    """How a policy is trained by proximal policy optimisation, model-free; the defaults are Stable-Baselines3's,
+    but for the shape of a rollout, as large (64 x 32 for 1 x 2048), and the network, which is `AttentionPolicy`.
 
     `environments` side by side take `rollout_steps` steps each; then Adam goes over these `passes` times in
     minibatches of `batch`; and so on for `steps` steps of environments in all. The reward is the growth of the mean
@@ -136,7 +137,13 @@ class Experiment:
 
 
 def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings) -> Experiment:
-    """The experiment with another learner, which is after the same and judged in the same way."""
+    """The experiment with another learner, under the same softness, noise and judging protocol.
+
+    PPO is always after log det at the horizon: raises ValueError for an experiment with another objective.
+    """
+    now = experiment.training
+    if isinstance(learner, PPOSettings) and isinstance(now, TrainingSettings) and now.objective != "terminal":
+        raise ValueError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
     shared = {each.name: getattr(experiment.training, each.name) for each in fields(LearningSettings)}
     return replace(experiment, training=replace(learner, **shared))
 

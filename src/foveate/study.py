@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -42,6 +43,9 @@ class Study:
         names = [method.name for method in self.methods]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"method {twice[0]}: is given twice: expected one method a name")
+        for name in [*names, *(method.training.name for method in self.methods if method.training is not None)]:
+            if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]*", name):
+                raise ValueError(f"method or training {name!r}: expected letters, digits, and . _ - within")
         if self.reference not in names:
             raise ValueError(f"reference {self.reference}: expected one of the methods {', '.join(names)}")
         made: dict[str, Training] = {}
@@ -126,6 +130,8 @@ def units(study: Study) -> list[Unit]:
                 unit = RowsUnit(method=method, seed=seed, protocol=protocol)
                 if unit.training is not None:
                     work.setdefault(unit.training.file, unit.training)
+                if unit.file in work:
+                    raise ValueError(f"method {method.name}: its file {unit.file} is another method's: rename it")
                 work[unit.file] = unit
     return list(work.values())
 

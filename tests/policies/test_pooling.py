@@ -88,6 +88,12 @@ def test_network(name, left):
     assert np.all(np.abs(action) < 1)
 
 
+def test_steps_beyond_the_end_are_padding():
+    policy, parts = network("plane"), scene("plane", 3)
+    ended = decide(policy, seen("plane", *parts, left=0))
+    np.testing.assert_array_equal(decide(policy, seen("plane", *parts, left=-4000)), ended)
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_padding_and_order_do_not_matter(name):
     policy, (turn, place, *targets) = network(name), scene(name, 6)

@@ -93,7 +93,7 @@ def _own(place: str) -> "list[Method]":
     file, _, name = place.rpartition(":")
     if not file.endswith(".py") or not Path(file).is_file():
         raise ValueError(f"--add {place}: expected FILE.py:NAME of a file that is there")
-    spec = importlib.util.spec_from_file_location(Path(file).stem, file)
+    spec = importlib.util.spec_from_file_location(f"foveate_own_{Path(file).stem}", file)
     assert spec is not None, "a name that ends in .py has a loader"
     assert spec.loader is not None, "a name that ends in .py has a loader"
     module = importlib.util.module_from_spec(spec)

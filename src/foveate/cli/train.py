@@ -110,7 +110,8 @@ class Train:
         experiment = PRESETS[self.preset] if self.config is None else load_toml(Experiment, self.config)
         if self.algorithm == "policy-gradient" and isinstance(experiment.training, PPOSettings):
             experiment = with_learner(experiment, TrainingSettings())
-        if self.algorithm in PPO:
+        keeps_own = self.algorithm == "ppo" and isinstance(experiment.training, PPOSettings)
+        if self.algorithm in PPO and not keeps_own:
             experiment = with_learner(experiment, PPO[self.algorithm])
         training = experiment.training
         wanted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")

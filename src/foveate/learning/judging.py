@@ -83,7 +83,8 @@ def judge(
 def claim(out: Path, experiment: Experiment) -> None:
     """Make the run folder `out`. Raises ValueError where something is there already."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ValueError(f"{out}: exists already: choose another --out, or go on with --resume {out}")
+        resume = "" if isinstance(experiment.training, PPOSettings) else f", or go on with --resume {out}"
+        raise ValueError(f"{out}: exists already: choose another --out{resume}")
     (out / BEST).parent.mkdir(parents=True, exist_ok=True)
     write_config(out, experiment)
     write_atomic(out / METRICS, b"")

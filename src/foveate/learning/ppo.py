@@ -139,7 +139,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
     return PPO(
         ActorAndCritic,
         vec_env,
-        learning_rate=rate if training.schedule == "constant" else lambda left: rate * left,
+        learning_rate=rate if training.schedule == "constant" else lambda left: rate * max(left, 0.0),
         n_steps=training.rollout_steps,
         batch_size=training.batch,
         n_epochs=training.passes,

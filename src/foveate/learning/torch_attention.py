@@ -135,8 +135,9 @@ def to_jax(actor: Attention, problem: Problem, settings: AttentionSettings) -> A
     shape = eqx.filter_eval_shape(lambda key: settings.policy(problem, key), jax.random.key(0))
     chains = [actor.agent_layers, actor.target_layers, actor.out_layers]
     names = ("weight", "bias")
+    # Copied below: torch goes on training in the memory that its numpy views share.
     weights = [layer.get_parameter(name).detach().numpy() for chain in chains for layer in chain for name in names]
-    return eqx.tree_at(_weights, shape, [jnp.asarray(x, float) for x in weights])
+    return eqx.tree_at(_weights, shape, [jnp.array(x, float) for x in weights])
 
 
 def _weights(policy: AttentionPolicy) -> list[Any]:

@@ -101,7 +101,8 @@ class PoolingPolicy(Policy):
         _, usual = policy_inputs(observation, self.space, "body", self.length_m, "asinh")
         position_body = usual[:, :d] * self.length_m
         distance = jnp.sqrt(jnp.sum(position_body**2, axis=-1, keepdims=True) + LEAST_RANGE_M**2)
-        left = observation.left.astype(usual.dtype)
+        # Padding goes on after the end of an episode.
+        left = jnp.maximum(observation.left, 0).astype(usual.dtype)
         common = jnp.stack(
             [
                 jnp.minimum(left / HORIZON_STEPS, MOST_UNITS),
