@@ -27,6 +27,8 @@ UNITS, TRAININGS = "units", "trainings"
 T = TypeVar("T")
 Say = Callable[[str], None]
 """Takes a line for the user."""
+Report = Callable[[Check, int], None]
+"""Takes every check of a training, and of how many epochs or steps it has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +109,7 @@ def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, note: Say,
     return Trained(name=unit.training.name, seed=unit.seed, run=run, experiment=experiment, outcome=outcome)
 
 
-def _train(unit: TrainingUnit, run: Path, mark: Path, wanted: str, report, say: Say) -> Outcome:
+def _train(unit: TrainingUnit, run: Path, mark: Path, wanted: str, report: Report, say: Say) -> Outcome:
     """Go on with the run folder where it was begun under the same key, which `mark` holds; else train anew."""
     experiment = unit.training.experiment
     if _is_begun(run, mark, wanted, experiment):

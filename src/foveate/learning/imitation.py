@@ -23,21 +23,18 @@ def likeness(
     """
     protocol = settings.protocol
 
-    def seen(state, known_input):
-        return observe(predict(problem, state, known_input), known_input, episode.horizon)
-
     def step(carry, instant):
         state, own, its = carry
         own_key, its_key = jax.random.split(jax.random.fold_in(key, state.step))
-        observation = seen(state, instant.known_input)
+        predicted = predict(problem, state, instant.known_input)
+        observation = observe(predicted, instant.known_input, episode.horizon)
         action, own = policy(observation, own, own_key)
         wanted, its = teacher(observation, its, its_key)
-        predicted = predict(problem, state, instant.known_input)
         state = act(problem, protocol, predicted, instant, jax.lax.stop_gradient(action))[0]
         return (state, own, its), jnp.sum((action - jax.lax.stop_gradient(wanted)) ** 2)
 
     first = start(problem, episode, protocol)
-    observation = seen(first, episode.inputs[0])
+    observation = observe(predict(problem, first, episode.inputs[0]), episode.inputs[0], episode.horizon)
     begin = (first, policy.start(observation), teacher.start(observation))
     difference = jax.lax.scan(step, begin, instants(episode))[1]
     return -jnp.mean(difference, where=jnp.arange(len(difference)) < episode.horizon)
