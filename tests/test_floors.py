@@ -17,11 +17,18 @@ FLOORS = [
         *("scenes", "rollout", "episodes", "lifting", "environment"),
     ],
     [
-        *("policies.inputs", "policies.layers", "policies.attention", "policies.pooling", "policies.handmade"),
+        *(
+            "policies.inputs",
+            "policies.layers",
+            "policies.attention",
+            "policies.pointer",
+            "policies.pooling",
+            "policies.handmade",
+        ),
         *("planning.information", "planning.tours", "planning.shooting", "planning.receding"),
     ],
     [
-        *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
+        *("learner_settings", "settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
         *("closeness", "comparison", "methods", "study"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
@@ -29,6 +36,7 @@ FLOORS = [
         *(
             "learning.sensitivity",
             "learning.policy_gradient",
+            "learning.actor_critic",
             "learning.imitation",
             "learning.judging",
             "learning.training",
