@@ -8,10 +8,11 @@ from scipy import stats
 
 from foveate.closeness import floors, with_closeness
 from foveate.comparison import Part, as_json, compare
-from foveate.evaluation import Row, summarise
+from foveate.evaluation import Row
 from foveate.report import markdown, tables
 from foveate.scenario import Scenario
 from foveate.scenes import Scene
+from foveate.summary import summarise
 
 SCENES = 8
 CELLS = (("unbiased", 3), ("biased", 5))
@@ -22,6 +23,7 @@ def rows(method: str, scores: np.ndarray, protocol: str = "true", seconds: float
     """One row for each of `scores` (cell, scene)."""
     numbers = {"seen_fraction": 0.5, "seen_step_fraction": 0.25, "longest_unseen_s": 3.0, "entropy": 0.1}
     numbers |= {"rmse_m": 0.2, "nees": 2.0, "step_time_s": seconds, "episode": 0, "seed": 0}
+    numbers |= {"rmse_seen_m": 0.1, "rmse_unseen_m": 0.4, "nees_seen": 1.5, "nees_unseen": 2.5}
     return tuple(
         Row(scene=f"{motion}-{n}-{i}", score=float(scores[c, i]), motion=motion, targets=n, method=method,
             protocol=protocol, **numbers)

@@ -21,7 +21,7 @@ FLOORS = [
         *("planning.information", "planning.tours", "planning.shooting", "planning.receding"),
     ],
     [
-        *("settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
+        *("settings", "checkpoint", "measures", "evaluation", "summary", "planned", "yardstick", "poses", "film"),
         *("closeness", "comparison", "methods", "study"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],

@@ -42,6 +42,7 @@ class MadeUp(Method):
         report(len(bench.suite.scenes))
         numbers = {"score": 1.5, "seen_fraction": 0.5, "seen_step_fraction": 0.25, "longest_unseen_s": 3.0}
         numbers |= {"entropy": 0.1, "rmse_m": 0.2, "nees": 2.0, "step_time_s": 1e-3}
+        numbers |= {"rmse_seen_m": 0.1, "rmse_unseen_m": 0.4, "nees_seen": 1.5, "nees_unseen": 2.5}
         names = {"method": self.name, "protocol": protocol, "episode": 0, "seed": 0}
         return [
             Row(scene=scene.id, motion=scene.motion, targets=len(scene.targets), **names, **numbers)

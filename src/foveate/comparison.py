@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from foveate.closeness import Cell, with_closeness
-from foveate.evaluation import Row, Summary, summarise
+from foveate.evaluation import Row
 from foveate.statistics import holm, paired
+from foveate.summary import Summary, summarise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ import numpy as np
 
 from foveate.closeness import Cell
 from foveate.comparison import Comparison, Difference, Overall
-from foveate.evaluation import Summary
 from foveate.published import MODEL_BASED, MODEL_FREE
+from foveate.summary import Summary
 
 SIGNIFICANT = 0.05
 PROTOCOLS = {

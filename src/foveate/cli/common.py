@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from foveate.evaluation import Summary
     from foveate.problem import Policy
     from foveate.scenes import Scene
     from foveate.settings import Experiment
+    from foveate.summary import Summary
 
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
 """The trained policy, and the hand-made ones (`policies.handmade.METHODS`; repeated here to keep help fast)."""

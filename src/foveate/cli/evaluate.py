@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from foveate.evaluation import Suite, Summary
+    from foveate.evaluation import Suite
+    from foveate.summary import Summary
 
 
 @dataclass(kw_only=True)
@@ -56,9 +57,10 @@ class Evaluate:
             scenes_of,
         )
         from foveate.configuration import digest
-        from foveate.evaluation import evaluate, prepare, result, summarise
+        from foveate.evaluation import evaluate, prepare
         from foveate.files import write_json
         from foveate.scenes import write_scenes
+        from foveate.summary import result, summarise
 
         methods = check_methods(self.method)
         for path in (self.json, self.write_scenes):
@@ -93,7 +95,7 @@ def _judged(summary: "list[Summary]", suite: "Suite", protocols: "tuple[str, ...
     """The summary with the closeness of each cell."""
     from foveate.cli.common import Bar
     from foveate.closeness import ceiling_rows, floors, with_closeness
-    from foveate.evaluation import summarise
+    from foveate.summary import summarise
 
     count, rows = len(suite.scenes) * suite.episodes_per_scene, []
     with Bar("omniscient plans", count * len(protocols), "episodes") as bar:
