@@ -35,6 +35,9 @@ class Evaluate:
     """Noise draws per scene."""
     seed: int = 0
     """Seed of the noise."""
+    initial_error: Literal["paper", "consistent"] | None = None
+    """How far first means are off: as a measurement is (paper: less than the belief claims), or as the first belief
+    claims (consistent; default: as the scenario says)."""
     closeness: bool = False
     """Say how far each score gets from never seeing anything (0) to the omniscient planner (1). Its plans take about
     100 s for table1 on 2 cores, once: they are kept in the user's cache folder."""
@@ -55,6 +58,7 @@ class Evaluate:
             policy_of,
             print_summary,
             scenes_of,
+            with_initial_error,
         )
         from foveate.configuration import digest
         from foveate.evaluation import evaluate, prepare
@@ -68,7 +72,7 @@ class Evaluate:
         check_least("--episodes", self.episodes, 1)
         check_seed(self.seed)
         check_seed(self.scene_seed, "--scene-seed")
-        experiment = experiment_of(self.run)
+        experiment = with_initial_error(experiment_of(self.run), self.initial_error)
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
         chosen, scenes = scenes_of(self.scenes, self.scene_seed, experiment)
         policies = {name: policy_of(self.run, name, experiment) for name in methods}
@@ -85,6 +89,7 @@ class Evaluate:
         print_summary(f"{self.run} on {chosen}", self.episodes, summary)
         if self.json is not None:
             facts = {"run": self.run, "scenes": chosen, "experiment": digest(experiment)}
+            facts["initial_error"] = settings.initial_error
             write_json(self.json, result(rows, summary, facts))
         if self.write_scenes is not None:
             write_scenes(self.write_scenes, scenes)
