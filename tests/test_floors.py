@@ -22,7 +22,7 @@ FLOORS = [
     ],
     [
         *("settings", "checkpoint", "measures", "evaluation", "summary", "planned", "yardstick", "poses", "film"),
-        *("closeness", "comparison", "methods", "study"),
+        *("closeness", "comparison", "methods", "robustness", "units", "study"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
     [
@@ -42,9 +42,11 @@ FLOORS = [
         "stages",
         "figures",
         "figures_comparison",
+        "figures_robustness",
+        "animation",
+        "pages",
         "report",
         "publication",
-        "animation",
         "gym",
         "export",
         "stonesoup",

@@ -97,7 +97,8 @@ def test_units_stand_in_an_order_that_can_be_done():
 
 def test_all_is_done_once_and_comes_back(tmp_path):
     told = []
-    parts, trained = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
+    found = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
+    parts, trained = found.parts, found.trained
     assert CALLS == [
         "planner surrogate None",
         "planner true None",
@@ -119,7 +120,7 @@ def test_all_is_done_once_and_comes_back(tmp_path):
     assert (0, "planner, surrogate: 4 of 4 episodes") in told
     CALLS.clear()
     times = {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()}
-    assert reproduce(a_study(), tmp_path) == (parts, trained)
+    assert reproduce(a_study(), tmp_path) == found
     assert CALLS == []
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()} == times
 

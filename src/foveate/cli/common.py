@@ -136,7 +136,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
 
     table = Table(title=escape(title), title_justify="left", header_style="bold")
     for i, name in enumerate(header):
-        table.add_column(name, justify="left" if i < 2 else "right", no_wrap=True)
+        table.add_column(escape(name), justify="left" if i < 2 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     # Not a terminal: no colours, and as wide as the table needs.
