@@ -65,7 +65,7 @@ def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapp
         axes.errorbar(x, mean, bars, color=color, marker=marker, ls=line, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2)
     floors = {one.value: one.floor for one in verdicts}
     axes.plot(list(floors), list(floors.values()), color=GREY, ls=":", lw=1.4)
-    axes.xaxis.set_major_locator(FixedLocator(values))
+    axes.xaxis.set_major_locator(FixedLocator(list(factor.values)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:.3g}".lstrip("0") if 0 < x < 1 else f"{x:g}"))
     axes.grid(axis="y", color=PALE, lw=0.6)

@@ -29,18 +29,19 @@ def measures(
         nothing = dict.fromkeys(("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0)
         return {"score": None, "entropy": None, **nothing, **dict.fromkeys(SPLITS)}
     visible, log_det = np.asarray(trace.visible[:K, :n]), np.asarray(trace.log_det[K - 1, :n], float)
-    error = (trace.mean[K, :n] - truth[K, :n]).astype(float)
+    seen = np.any(visible, axis=0)
+    error = np.asarray(trace.mean[K, :n], float) - np.asarray(truth[K, :n], float)
     square = ((error @ np.asarray(problem.motion.Z, float).T) ** 2).sum(axis=1)
     nees = np.einsum("ni,nij,nj->n", error, trace.information[K, :n].astype(float), error)
     return {
         "score": float(log_det.mean()),
         "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))),
-        "seen_fraction": float(visible.any(axis=0).mean()),
+        "seen_fraction": float(seen.mean()),
         "seen_step_fraction": float(visible.mean()),
         "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max()),
         "rmse_m": float(np.sqrt(square.mean())),
         "nees": float(nees.mean()),
-        **splits(square, nees, visible.any(axis=0)),
+        **splits(square, nees, np.asarray(seen)),
     }
 
 

@@ -8,7 +8,7 @@ import hashlib
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -194,7 +194,7 @@ def _points(
 
 def _point(fields: dict[str, Any]) -> Point:
     """A point as it was before it was written: JSON knows lists only."""
-    return Point(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
+    return replace(Point(**fields), scores=tuple(fields["scores"]), seen=tuple(fields["seen"]))
 
 
 def _check(unit: RowsUnit, bench: Bench, rows: Sequence[Row]) -> None:
