@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 FLOORS = [
     ["types", "linalg", "checks", "files", "configuration", "arrays", "published", "statistics"],
     ["geometry.lie", "geometry.space", "geometry.safe", "geometry.fov", "geometry.fov_spatial"],
-    ["models.agent", "models.target", "models.sensor", "models.belief"],
+    ["models.agent", "models.target", "models.sensor", "models.belief", "models.absence"],
     [
         *("problem", "agent_settings", "view_settings", "target_settings", "scenario"),
         *("scenes", "rollout", "episodes", "lifting", "environment"),
@@ -28,8 +28,19 @@ FLOORS = [
         *("planning.information", "planning.tours", "planning.shooting", "planning.receding"),
     ],
     [
-        *("learner_settings", "settings", "checkpoint", "evaluation", "planned", "yardstick", "poses", "film"),
-        *("closeness", "comparison", "methods", "study"),
+        *(
+            "learner_settings",
+            "settings",
+            "checkpoint",
+            "measures",
+            "evaluation",
+            "summary",
+            "planned",
+            "yardstick",
+            "poses",
+            "film",
+        ),
+        *("closeness", "comparison", "methods", "robustness", "units", "study"),
         *("recorded", "motion_fit", "fit", "replay"),
     ],
     [
@@ -50,9 +61,11 @@ FLOORS = [
         "stages",
         "figures",
         "figures_comparison",
+        "figures_robustness",
+        "animation",
+        "pages",
         "report",
         "publication",
-        "animation",
         "gym",
         "export",
         "stonesoup",

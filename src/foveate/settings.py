@@ -60,18 +60,14 @@ QUADROTOR = Scenario(
 PRESETS = {
     "paper": Experiment(),
     "best": Experiment(
-        # Nearer to the targets' middle than in the paper, as tests begin.
-        scenario=Scenario(scenes=SceneSettings(agent_spread=0.6)),
-        policy=PoolingSettings(kind="pooling"),
-        training=TrainingSettings(
-            epochs=2000,
-            episodes=64,
-            learning_rate=1e-3,
-            schedule="cosine",
-            softness=((1.0, 0.8), (PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa), (0.3, 0.25), (0.0, 0.12)),
-            feedback=0.0,
-            foresight=0.4,
-            lessons=0.5,
+        policy=PointerSettings(kind="pointer"),
+        training=ActorCriticSettings(
+            algorithm="actor-critic",
+            protocols=("surrogate", "true"),
+            select="surrogate",
+            epochs=400,
+            episodes=384,
+            spread=(0.4, 0.04),
         ),
     ),
     "true-view": Experiment(
