@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, fields, replace
 
 from foveate.agent_settings import Quadrotor
 from foveate.learner_settings import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
-from foveate.models.sensor import PAPER_SOFTNESS
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
 from foveate.policies.pooling import PoolingSettings
