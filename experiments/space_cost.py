@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.learning.policy_gradient import begin, epoch, epochs, objective
+from foveate.learning.policy_gradient import begin, epoch, epochs
 from foveate.policies.attention import AttentionSettings
 from foveate.settings import DEEPER, PRESETS, Experiment, TrainingSettings
 
@@ -28,7 +28,7 @@ def timed(experiment: Experiment):
     learner = begin(experiment.policy.policy(problem, jax.random.key(0)), training)
 
     def one(learner, key):
-        return epoch(problem, scenes, training, learner, key, objective)
+        return epoch(problem, scenes, training, learner, key)
 
     advance = eqx.filter_jit(lambda count, learner, key: epochs(one, count, learner, key))
     steps = scenes.horizon(scenes.targets_max) * training.episodes

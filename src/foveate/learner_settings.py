@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from foveate.checks import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
-from foveate.rollout import Flow, Protocol
+from foveate.rollout import Protocol
 
 Objective = Literal["terminal", "mean", "seen"]
 
@@ -52,21 +52,17 @@ class TrainingSettings(LearningSettings):
 
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
-    or the share of time in view ("seen"). `feedback` and `foresight` damp the gradient as in `rollout.Flow`; 1 and 1
-    are exact. Before all that, in the first share of the epochs, `lessons`, the policy learns to act as a `teacher`
-    made by hand does. The policy is judged every `check_every` epochs.
+    or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
     """
 
+    updates: ClassVar[int] = 1
+    """Steps of Adam in an epoch."""
     epochs: int = 1000
     episodes: int = 60
     learning_rate: float = 3e-4
     schedule: Literal["constant", "cosine"] = "constant"
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
-    feedback: float = 1.0
-    foresight: float = 1.0
-    teacher: Literal["nearest", "uncertain", "lawnmower"] = "uncertain"
-    lessons: float = 0.0
     check_every: int = 50
 
     def __post_init__(self) -> None:
@@ -74,20 +70,6 @@ class TrainingSettings(LearningSettings):
         for name in ("epochs", "episodes", "check_every"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         positive(self, "learning_rate", "gradient_bound")
-        for name in ("feedback", "foresight", "lessons"):
-            require(0 <= getattr(self, name) <= 1, name, getattr(self, name), "expected a share, 0 to 1")
-
-    updates: ClassVar[int] = 1
-
-    @property
-    def flow(self) -> Flow:
-        """How the gradient flows back through an episode."""
-        return Flow(self.feedback, self.foresight)
-
-    @property
-    def lesson_epochs(self) -> int:
-        """The first so many epochs are lessons."""
-        return round(self.lessons * self.epochs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float
 
 from foveate.linalg import cholesky_spd, log_det_spd, multiply
 from foveate.models import belief
@@ -37,23 +37,6 @@ class Protocol(NamedTuple):
 SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
 TRUE = Protocol(levels=())
 PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
-
-
-class Flow(NamedTuple):
-    """How a derivative flows back through an episode: exactly (1, 1), or damped, for learners.
-
-    Of the derivative with respect to an action, `feedback` is the share that passes through what the policy then sees
-    (0: the gradient that the paper prints, with the policy's inputs held), `foresight` the share that a pose hands on
-    from each step to the next: how far an action counts for what is only seen later. An agent that will look again
-    before it moves on corrects most of what one action did to its later poses; the exact derivative knows that only by
-    chains of products, which explode.
-    """
-
-    feedback: float = 1.0
-    foresight: float = 1.0
-
-
-EXACT = Flow()
 
 
 class State(eqx.Module):
@@ -195,23 +178,13 @@ def _in_view(problem: Problem, pose: Pose, positions_world: Float[Array, "points
     return problem.sensor.view.contains(problem.agent.space.to_body(pose, positions_world))
 
 
-def _damped(tree: PyTree, share: float) -> PyTree:
-    """The same values to rounding, of whose derivative only a share passes."""
-    if share == 1.0:
-        return tree
-    moving, rest = eqx.partition(tree, eqx.is_inexact_array)
-    mixed = jax.tree.map(lambda x: share * x + (1.0 - share) * jax.lax.stop_gradient(x), moving)
-    return eqx.combine(mixed if share > 0 else jax.tree.map(jax.lax.stop_gradient, moving), rest)
-
-
-def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record, flow: Flow = EXACT):
+def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record):
     """Run all steps; `record(state, action, visible, weight)` says what to keep of each."""
 
     def step(carry, instant):
         state, memory = carry
         predicted = predict(problem, state, instant.known_input)
-        observation = _damped(observe(predicted, instant.known_input, episode.horizon), flow.feedback)
-        predicted = eqx.tree_at(lambda s: s.pose, predicted, _damped(predicted.pose, flow.foresight))
+        observation = observe(predicted, instant.known_input, episode.horizon)
         action, memory = policy(observation, memory, jax.random.fold_in(key, state.step))
         state, visible, weight = act(problem, protocol, predicted, instant, action)
         return (state, memory), record(state, action, visible, weight)
@@ -247,25 +220,21 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
     )
 
 
-def log_dets(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, flow: Flow = EXACT
-) -> Float[Array, "K n"]:
+def log_dets(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
     """log det Y_k of every target after every step, the mean over the levels: what training differentiates."""
 
     def record(state, action, visible, weight):
         del action, visible, weight
         return jnp.mean(log_det_spd(state.information), axis=0)
 
-    return _scan(problem, policy, episode, protocol, key, record, flow)[1]
+    return _scan(problem, policy, episode, protocol, key, record)[1]
 
 
-def weights(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, flow: Flow = EXACT
-) -> Float[Array, "K n"]:
+def weights(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
     """How far every target is in view after every step, 1 - Phi in the mean over the levels."""
 
     def record(state, action, visible, weight):
         del state, action, visible
         return jnp.mean(weight, axis=0)
 
-    return _scan(problem, policy, episode, protocol, key, record, flow)[1]
+    return _scan(problem, policy, episode, protocol, key, record)[1]

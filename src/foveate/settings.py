@@ -6,7 +6,6 @@ from foveate.agent_settings import Quadrotor
 from foveate.learner_settings import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.policies.pooling import PoolingSettings
 from foveate.scenario import Scenario, SceneSettings
 from foveate.target_settings import VelocityTarget
 from foveate.view_settings import FrustumView
@@ -17,7 +16,7 @@ class Experiment:
     """One run: scenario, policy, training."""
 
     scenario: Scenario = field(default_factory=Scenario)
-    policy: AttentionSettings | PointerSettings | PoolingSettings = field(default_factory=AttentionSettings)
+    policy: AttentionSettings | PointerSettings = field(default_factory=AttentionSettings)
     training: TrainingSettings | PPOSettings | ActorCriticSettings = field(default_factory=TrainingSettings)
 
 

@@ -73,16 +73,12 @@ def objective(
 ) -> Float[Array, ""]:
     """What training differentiates: log det [nat per target] or time in view of an episode, under the soft views."""
     earnings = weights if settings.objective == "seen" else log_dets
-    values = earnings(problem, policy, episode, settings.protocol, key, settings.flow)
+    values = earnings(problem, policy, episode, settings.protocol, key)
     return episode_score(values, episode, settings.objective == "terminal")
 
 
-Worth = Callable[[Problem, Policy, Episode, TrainingSettings, Key], Float[Array, ""]]
-"""What is ascended, of one episode."""
-
-
 def epoch(
-    problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key, worth: Worth
+    problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key
 ) -> tuple[Learner, Report]:
     """One step of ascent on a fresh batch; the chance of epoch i comes from (key, i) alone."""
     parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
@@ -94,7 +90,7 @@ def epoch(
     def loss(parameters):
         policy = eqx.combine(parameters, rest)
         keys = jax.random.split(policy_key, settings.episodes)
-        return -jnp.mean(jax.vmap(lambda e, k: worth(problem, policy, e, settings, k))(batch, keys))
+        return -jnp.mean(jax.vmap(lambda e, k: objective(problem, policy, e, settings, k))(batch, keys))
 
     value, gradient = jax.value_and_grad(loss)(parameters)
     norm = optax.tree.norm(gradient)

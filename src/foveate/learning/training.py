@@ -18,10 +18,8 @@ from foveate.configuration import load_toml
 from foveate.files import write_atomic
 from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
 from foveate.learning import actor_critic, policy_gradient
-from foveate.learning.imitation import likeness
 from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
-from foveate.learning.policy_gradient import Advance, Learner, epoch, epochs, objective
-from foveate.policies.handmade import handmade
+from foveate.learning.policy_gradient import Learner, epochs
 from foveate.problem import Policy, Problem
 from foveate.settings import Experiment
 from foveate.types import Key
@@ -75,13 +73,12 @@ def train(
         progress, elapsed = _resumed(out, experiment, seed, progress)
     else:
         save_tree(out / LAST, progress, experiment, "training", {"seed": seed, "epoch": 0, "elapsed_s": 0.0})
-    parts = _parts(experiment, problem)
+    advance = _advance(experiment, problem)
     assess = eqx.filter_jit(lambda policy, episodes, key: judge(experiment, problem, policy, episodes, key))
     began, stopped = time.perf_counter() - elapsed, ""
     with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
         while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
-            end, advance = next(part for part in parts if done < part[0])
-            count = min(training.check_every, end - done)
+            count = min(training.check_every, training.epochs - done)
             started = time.perf_counter()
             learner, numbers = advance(jnp.array(count), progress.learner, keys[2])
             score, at_limit = (float(x) for x in assess(learner.policy, episodes, keys[3]))
@@ -118,34 +115,19 @@ def _begin(problem: Problem, policy: Policy, training: Learning, key: Key) -> Le
     return policy_gradient.begin(policy, training)
 
 
-def _parts(experiment: Experiment, problem: Problem) -> list[tuple[int, Callable]]:
-    """What is done until which epoch: compiled functions of (count, learner, key).
+def _advance(experiment: Experiment, problem: Problem) -> Callable:
+    """The compiled function of (count, learner, key) that goes on by so many epochs.
 
     Keys and scenes are arguments, not constants, so that all seeds share one compiled program.
     """
     scenes, training = experiment.scenario.scenes, experiment.training
-    if isinstance(training, ActorCriticSettings):
 
-        def try_out(learner, key):
+    def advance(learner, key):
+        if isinstance(training, ActorCriticSettings):
             return actor_critic.epoch(problem, scenes, training, learner, key)
+        assert isinstance(training, TrainingSettings), "of two settings with epochs this is the other"
+        return policy_gradient.epoch(problem, scenes, training, learner, key)
 
-        return [(training.epochs, _compiled(try_out))]
-    assert isinstance(training, TrainingSettings), "of two settings with epochs this is the other"
-    teacher = handmade(training.teacher, problem, float(experiment.scenario.view.depth_m))
-
-    def likeness_to_teacher(problem, policy, episode, settings, key):
-        return likeness(problem, policy, teacher, episode, settings, key)
-
-    def learn(learner, key):
-        return epoch(problem, scenes, training, learner, key, likeness_to_teacher)
-
-    def ascend(learner, key):
-        return epoch(problem, scenes, training, learner, key, objective)
-
-    return [(training.lesson_epochs, _compiled(learn)), (training.epochs, _compiled(ascend))]
-
-
-def _compiled(advance: Advance) -> Callable:
     return eqx.filter_jit(lambda count, learner, key: epochs(advance, count, learner, key))
 
 
