@@ -20,16 +20,33 @@ class Experiment:
     training: TrainingSettings | PPOSettings | ActorCriticSettings = field(default_factory=TrainingSettings)
 
 
-def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings) -> Experiment:
+REACH = 2.5
+"""Unit of length of a pointer network, in depths of the view."""
+
+
+def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings | ActorCriticSettings) -> Experiment:
     """The experiment with another learner, judged alike, and under the same softness and noise if it has them.
 
-    PPO is always after log det at the horizon: raises ValueError for an experiment with another objective.
+    A learner that cannot train the experiment's network comes with one that it can. PPO is always after log det at the
+    horizon: raises ValueError for an experiment with another objective.
     """
     now = experiment.training
     if isinstance(learner, PPOSettings) and now.objective != "terminal":
         raise ValueError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
-    shared = {each.name: getattr(now, each.name) for each in fields(LearningSettings) if hasattr(now, each.name)}
-    return replace(experiment, training=replace(learner, **shared))
+    shared = {
+        each.name: getattr(now, each.name) for each in fields(LearningSettings) if _has_both(now, learner, each.name)
+    }
+    if isinstance(learner, ActorCriticSettings):
+        shared["objective"] = now.objective
+    policy = experiment.policy
+    if isinstance(learner, ActorCriticSettings) != isinstance(policy, PointerSettings):
+        pointer = PointerSettings(kind="pointer", length_m=REACH * float(experiment.scenario.view.depth_m))
+        policy = pointer if isinstance(learner, ActorCriticSettings) else AttentionSettings()
+    return replace(experiment, policy=policy, training=replace(learner, **shared))
+
+
+def _has_both(one: object, other: object, name: str) -> bool:
+    return hasattr(one, name) and hasattr(other, name)
 
 
 DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")

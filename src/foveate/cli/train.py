@@ -10,30 +10,31 @@ if TYPE_CHECKING:
     from foveate.learning.judging import Check, Outcome
     from foveate.settings import Experiment
 
-METHOD = Literal["policy-gradient", "ppo", "ppo-tuned"]
+METHOD = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 
 
 @dataclass(kw_only=True)
 class Train:
     """Train a policy into a run folder.
 
-    The folder holds config.toml, metrics.jsonl, TensorBoard events, the best checkpoint by held-out scenes, and, of
-    the policy gradient, what --resume needs to go on. The same seed gives the same checkpoint, bit for bit, on the
+    The folder holds config.toml, metrics.jsonl, TensorBoard events, the best checkpoint by held-out scenes, and, but
+    for PPO, what --resume needs to go on. The same seed gives the same checkpoint, bit for bit, on the
     same machine.
     """
 
     preset: Literal["paper", "best", "true-view", "quadrotor"] = "paper"
-    """paper: the paper's budget (about 20 s on 2 cores). best: another network, lessons and a damped gradient, higher
-    scores by far where targets have to be really seen (1 to 2 minutes). quadrotor: a flying camera over
-    constant-velocity targets in space, some minutes."""
+    """paper: the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs where to go
+    next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the same for what is
+    really seen alone. quadrotor: a flying camera over constant-velocity targets in space, some minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
     algorithm: METHOD | None = None
-    """policy-gradient: the paper's, through the model (default, unless a file says otherwise). ppo: its model-free
-    rival, Stable-Baselines3's PPO with its default settings (about 10 minutes; needs pip install 'foveate[ppo]'), on
-    the same world with the same network. ppo-tuned: PPO with settings that suit this task."""
+    """By another learner than the preset or file says, and with a network that this can train. policy-gradient: the
+    paper's, through the model. actor-critic: by trying, in whole batches of noisy episodes under the real filter. ppo: the
+    paper's model-free rival, Stable-Baselines3's PPO with its default settings (about 10 minutes; needs pip install
+    'foveate[ppo]'), on the paper's network. ppo-tuned: the same with settings that suit this task."""
     epochs: int | None = None
-    """Steps of gradient ascent (default: as in the preset or file)."""
+    """Steps of gradient ascent, or batches of tries (default: as in the preset or file)."""
     episodes: int | None = None
     """Episodes in each of them."""
     steps: int | None = None
@@ -43,7 +44,7 @@ class Train:
     out: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
     """Run folder to make (default: runs/PRESET-SEED, with the algorithm between them where one is given)."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
-    """Go on with this run, with the settings and the seed it began with (policy gradient only)."""
+    """Go on with this run, with the settings and the seed it began with (not of PPO)."""
 
     def run_command(self) -> int:
         """Train, and say how it went."""
@@ -80,8 +81,8 @@ class Train:
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
         """Train with a bar that counts epochs, of PPO steps."""
         from foveate.cli.common import Bar
+        from foveate.learner_settings import PPOSettings
         from foveate.learning.learner import train
-        from foveate.settings import PPOSettings
 
         settings = experiment.training
         by_ppo = isinstance(settings, PPOSettings)
@@ -105,14 +106,20 @@ class Train:
 
     def _experiment(self) -> "Experiment":
         from foveate.configuration import load_toml
-        from foveate.settings import PPO, PRESETS, Experiment, PPOSettings, TrainingSettings, with_learner
+        from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
+        from foveate.settings import PPO, PRESETS, Experiment, with_learner
 
         experiment = PRESETS[self.preset] if self.config is None else load_toml(Experiment, self.config)
-        if self.algorithm == "policy-gradient" and isinstance(experiment.training, PPOSettings):
-            experiment = with_learner(experiment, TrainingSettings())
-        keeps_own = self.algorithm == "ppo" and isinstance(experiment.training, PPOSettings)
-        if self.algorithm in PPO and not keeps_own:
-            experiment = with_learner(experiment, PPO[self.algorithm])
+        learners = {
+            "policy-gradient": TrainingSettings(),
+            "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
+            **PPO,
+        }
+        if self.algorithm is not None:
+            learner = learners[self.algorithm]
+            # A file's own settings of the learner that is asked for stay, but for the tuned ones.
+            if self.algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
+                experiment = with_learner(experiment, learner)
         training = experiment.training
         wanted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
         for name in ("epochs", "episodes", "steps"):

@@ -20,6 +20,7 @@ from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingS
 from foveate.learning import actor_critic, policy_gradient
 from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
 from foveate.learning.policy_gradient import Learner, epochs
+from foveate.policies.pointer import PointerPolicy
 from foveate.problem import Policy, Problem
 from foveate.settings import Experiment
 from foveate.types import Key
@@ -112,6 +113,8 @@ def _begin(problem: Problem, policy: Policy, training: Learning, key: Key) -> Le
     """The learner before its first epoch."""
     if isinstance(training, ActorCriticSettings):
         return actor_critic.begin(problem, policy, training, jax.random.fold_in(key, 1))
+    if isinstance(policy, PointerPolicy):
+        raise ValueError("policy.kind = 'pointer': expected training.algorithm = 'actor-critic', which tries its modes")
     return policy_gradient.begin(policy, training)
 
 
