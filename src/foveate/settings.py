@@ -33,9 +33,8 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
     now = experiment.training
     if isinstance(learner, PPOSettings) and now.objective != "terminal":
         raise ValueError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
-    shared = {
-        each.name: getattr(now, each.name) for each in fields(LearningSettings) if _has_both(now, learner, each.name)
-    }
+    names = [each.name for each in fields(LearningSettings)]
+    shared = {name: getattr(now, name) for name in names if hasattr(now, name) and hasattr(learner, name)}
     if isinstance(learner, ActorCriticSettings):
         shared["objective"] = now.objective
     policy = experiment.policy
@@ -43,10 +42,6 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
         pointer = PointerSettings(kind="pointer", length_m=REACH * float(experiment.scenario.view.depth_m))
         policy = pointer if isinstance(learner, ActorCriticSettings) else AttentionSettings()
     return replace(experiment, policy=policy, training=replace(learner, **shared))
-
-
-def _has_both(one: object, other: object, name: str) -> bool:
-    return hasattr(one, name) and hasattr(other, name)
 
 
 DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")

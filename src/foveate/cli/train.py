@@ -22,16 +22,16 @@ class Train:
     same machine.
     """
 
-    preset: Literal["paper", "best", "true-view", "quadrotor"] = "paper"
-    """paper: the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs where to go
-    next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the same for what is
-    really seen alone. quadrotor: a flying camera over constant-velocity targets in space, some minutes."""
+    preset: Literal["paper", "best", "true-view", "quadrotor"] | None = None
+    """paper (default): the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs where
+    to go next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the same for
+    what is really seen alone. quadrotor: a flying camera over constant-velocity targets in space, some minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
     algorithm: METHOD | None = None
     """By another learner than the preset or file says, and with a network that this can train. policy-gradient: the
-    paper's, through the model. actor-critic: by trying, in whole batches of noisy episodes under the real filter. ppo: the
-    paper's model-free rival, Stable-Baselines3's PPO with its default settings (about 10 minutes; needs pip install
+    paper's, through the model. actor-critic: by trying, in whole batches of noisy episodes under the real filter. ppo:
+    the paper's model-free rival, Stable-Baselines3's PPO with its default settings (about 10 minutes; needs pip install
     'foveate[ppo]'), on the paper's network. ppo-tuned: the same with settings that suit this task."""
     epochs: int | None = None
     """Steps of gradient ascent, or batches of tries (default: as in the preset or file)."""
@@ -60,7 +60,8 @@ class Train:
             out = self.resume
         else:
             experiment, seed = self._experiment(), self.seed
-            names = [self.preset if self.config is None else self.config.stem, self.algorithm, str(self.seed)]
+            named = (self.preset or "paper") if self.config is None else self.config.stem
+            names = [named, self.algorithm, str(self.seed)]
             out = self.out or Path("runs") / "-".join(name for name in names if name)
         outcome = self._train(experiment, out, seed)
         print(
@@ -74,7 +75,7 @@ class Train:
         return 0
 
     def _refuse_with_resume(self) -> None:
-        for name in ("config", "algorithm", "epochs", "episodes", "steps", "out"):
+        for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out"):
             if getattr(self, name) is not None:
                 raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
 
@@ -109,7 +110,9 @@ class Train:
         from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
         from foveate.settings import PPO, PRESETS, Experiment, with_learner
 
-        experiment = PRESETS[self.preset] if self.config is None else load_toml(Experiment, self.config)
+        if self.preset is not None and self.config is not None:
+            raise ValueError("--preset and --config: each is a whole experiment: give one of them")
+        experiment = load_toml(Experiment, self.config) if self.config is not None else PRESETS[self.preset or "paper"]
         learners = {
             "policy-gradient": TrainingSettings(),
             "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
