@@ -46,6 +46,8 @@ FLOORS = [
         "publication",
         "animation",
         "gym",
+        "onnx_graph",
+        "onnx_networks",
         "export",
         "stonesoup",
         "view",
