@@ -36,10 +36,11 @@ class OnnxPolicy:
             known_input = np.zeros((len(mean), B.shape[1]))
         return mean @ A.T + known_input @ B.T, A @ covariance @ A.T + W, known_input
 
-    def __call__(self, pose, mean, covariance, known_input=None, steps_left=30, step=0):
+    def __call__(self, pose, mean, covariance, known_input=None, steps_left=None, step=0):
         """The command by axis [m/s, rad/s] at a pose, for beliefs as they are NOW, shapes (n, n_y) and (n, n_y, n_y).
 
-        The pose is [x, y, yaw], or in space the 4 x 4 transform from body to world. n may be 0.
+        The pose is [x, y, yaw], or in space the 4 x 4 transform from body to world. n may be 0. Without an
+        end to count `steps_left` to, the policy is always in the middle of an episode.
         """
         mean, covariance, known_input = self.predict(mean, covariance, known_input, step)
         inputs = {
@@ -48,7 +49,7 @@ class OnnxPolicy:
             "information": np.linalg.inv(covariance).astype(np.float32),
             "present": np.ones(len(mean), bool),
             "known_input": known_input.astype(np.float32),
-            "steps_left": np.array(steps_left, np.int64),
+            "steps_left": np.array(steps_left or self.facts["steps_left"], np.int64),
         }
         (control,) = self.session.run(["control"], {name: inputs[name][None] for name in self.wanted})
         return dict(zip(self.output["axes"], control[0].tolist(), strict=True))

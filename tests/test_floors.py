@@ -46,6 +46,7 @@ FLOORS = [
         "publication",
         "animation",
         "gym",
+        "tracker",
         "onnx_graph",
         "onnx_networks",
         "export",

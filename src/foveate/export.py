@@ -76,7 +76,7 @@ def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
         if m_y == problem.agent.space.dimension:
             meaning = "the known input xi that led to the prediction of each target; 0 where none is known"
             found.append(Input(name="known_input", dtype="float32", shape=("b", "n", m_y), meaning=meaning))
-        meaning = "steps until the end, this one too; without an end any number from 30"
+        meaning = "steps until the end, this one too; a robot without an end gives the file's steps_left every time"
         found.append(Input(name="steps_left", dtype="int64", shape=("b",), meaning=meaning))
     return tuple(found)
 
@@ -114,6 +114,8 @@ def metadata_of(experiment: Experiment, policy: Policy) -> dict[str, str]:
         "output": output,
         "tau_s": period.tau.tolist()[0] if len(period.tau) == 1 else period.tau.tolist(),
         "trained_targets": [scenario.scenes.targets_min, scenario.scenes.targets_max],
+        # The middle of a training episode.
+        "steps_left": round(scenario.scenes.mean_horizon / 2),
         "model": model,
     }
     plain = {
