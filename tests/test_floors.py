@@ -33,7 +33,14 @@ FLOORS = [
             "learning.judging",
             "learning.training",
         ),
-        *("learning.torch_attention", "learning.vec_env", "learning.ppo", "learning.learner", "reproduction"),
+        *(
+            "learning.batch",
+            "learning.torch_attention",
+            "learning.vec_env",
+            "learning.ppo",
+            "learning.learner",
+            "reproduction",
+        ),
     ],
     [
         "drawing",

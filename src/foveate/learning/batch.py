@@ -1,0 +1,92 @@
+"""Environments side by side as compiled programs, numpy arrays in and out: what every kind of VecEnv stands on."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Key, PyTree
+
+from foveate.environment import Environment, Moment, Transition, observation, renew, reset, step, step_and_reset
+from foveate.problem import Observation
+from foveate.types import Scalar
+
+Look = Callable[[Observation, Scalar], PyTree]
+"""Turns an observation, and the share of the episode's steps that is left, into arrays."""
+
+
+class Steps(NamedTuple):
+    """What one step brought to b environments. Where an episode is over, `seen` is what comes next, `end` its end."""
+
+    seen: Any
+    end: Any
+    reward: Float[Any, " b"]
+    done: Bool[Any, " b"]
+    score: Float[Any, " b"]
+    length: Int[Any, " b"]
+
+
+class Batch:
+    """`count` environments, each drawing its episodes from its own key. Everything seen is float32 and the caller's.
+
+    With `anew` an episode that is over is followed by the next one in the same step, else by nothing until `renew`.
+    `transition` holds the last one, as JAX arrays, and `moments` where all environments are.
+    """
+
+    def __init__(self, environment: Environment, look: Look, count: int, anew: bool = True) -> None:
+        def seen(moments: Moment) -> PyTree:
+            left = 1.0 - moments.predicted.step / moments.episode.horizon
+            return jax.vmap(look)(jax.vmap(observation)(moments), left)
+
+        def begin(keys, targets):
+            moments = jax.vmap(reset, (None, 0, 0))(environment, keys, targets)
+            return moments, (seen(moments), moments.score)
+
+        def advance(moments, actions):
+            length = moments.predicted.step + 1
+            if anew:
+                after, transition = step_and_reset(environment, moments, actions)
+                end = jax.vmap(look, (0, None))(transition.observation, jnp.zeros_like(transition.reward[0]))
+            else:
+                after, transition = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
+                end = None
+            numbers = Steps(seen(after), end, transition.reward, transition.done, transition.score, length)
+            return after, transition, numbers
+
+        def again(moments, over, keys, targets):
+            moments = eqx.tree_at(lambda m: m.key, moments, jnp.where(over, keys, moments.key))
+            moments = renew(environment, moments, over, targets)
+            return moments, (seen(moments), moments.score)
+
+        self._begin, self._again = eqx.filter_jit(begin), eqx.filter_jit(again, donate="all")
+        self._advance = eqx.filter_jit(advance, donate="all")
+        self.count, self.axes = count, len(environment.problem.agent.axes)
+        keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), count))
+        self.shapes: PyTree[jax.ShapeDtypeStruct] = eqx.filter_eval_shape(begin, keys, None)[1][0]
+        """Of what is seen by all."""
+        self.moments: Moment | None = None
+        self.transition: Transition | None = None
+
+    def begin(self, keys: Key[jax.Array, " b"], targets: Int[np.ndarray, " b"] | None = None) -> tuple[Any, np.ndarray]:
+        """Fresh episodes everywhere, with so many `targets` where that is > 0: what is seen, and the first scores."""
+        self.moments, numbers = self._begin(keys, targets)
+        return _host(numbers)
+
+    def renew(
+        self, over: Bool[np.ndarray, " b"], keys: Key[jax.Array, " b"], targets: Int[np.ndarray, " b"]
+    ) -> tuple[Any, np.ndarray]:
+        """Fresh episodes in those that are `over`, from their keys: what all see, and their scores."""
+        self.moments, numbers = self._again(self.moments, jnp.asarray(over), keys, targets)
+        return _host(numbers)
+
+    def step(self, actions: np.ndarray) -> Steps:
+        """One step everywhere; actions (b, m) in [-1, 1], beyond that they are clipped."""
+        self.moments, self.transition, numbers = self._advance(self.moments, np.asarray(actions, np.float32))
+        return _host(numbers)
+
+
+def _host(tree: Any) -> Any:
+    """Numpy arrays of the caller's own, real numbers in float32."""
+    return jax.tree.map(lambda x: np.array(x, np.float32 if jnp.issubdtype(x.dtype, jnp.floating) else None), tree)
