@@ -52,6 +52,8 @@ FLOORS = [
         "report",
         "publication",
         "animation",
+        "gym_task",
+        "gym_screen",
         "gym",
         "tracker",
         "onnx_graph",

@@ -28,11 +28,10 @@ class Steps(NamedTuple):
     length: Int[Any, " b"]
 
 
-class Batch:
-    """`count` environments, each drawing its episodes from its own key. Everything seen is float32 and the caller's.
+class Programs:
+    """What steps `count` environments, each drawing its episodes from its own key, compiled on first use.
 
     With `anew` an episode that is over is followed by the next one in the same step, else by nothing until `renew`.
-    `transition` holds the last one, as JAX arrays, and `moments` where all environments are.
     """
 
     def __init__(self, environment: Environment, look: Look, count: int, anew: bool = True) -> None:
@@ -60,30 +59,40 @@ class Batch:
             moments = renew(environment, moments, over, targets)
             return moments, (seen(moments), moments.score)
 
-        self._begin, self._again = eqx.filter_jit(begin), eqx.filter_jit(again, donate="all")
-        self._advance = eqx.filter_jit(advance, donate="all")
-        self.count, self.axes = count, len(environment.problem.agent.axes)
+        self.begin, self.again = eqx.filter_jit(begin), eqx.filter_jit(again, donate="all")
+        self.advance = eqx.filter_jit(advance, donate="all")
+        self.environment, self.count, self.axes = environment, count, len(environment.problem.agent.axes)
         keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), count))
         self.shapes: PyTree[jax.ShapeDtypeStruct] = eqx.filter_eval_shape(begin, keys, None)[1][0]
         """Of what is seen by all."""
+
+
+class Batch:
+    """Environments side by side, where they are now. Everything seen is float32 and the caller's own.
+
+    `transition` holds the last one, as JAX arrays, and `moments` where all environments are.
+    """
+
+    def __init__(self, programs: Programs) -> None:
+        self.programs, self.count, self.axes = programs, programs.count, programs.axes
         self.moments: Moment | None = None
         self.transition: Transition | None = None
 
     def begin(self, keys: Key[jax.Array, " b"], targets: Int[np.ndarray, " b"] | None = None) -> tuple[Any, np.ndarray]:
         """Fresh episodes everywhere, with so many `targets` where that is > 0: what is seen, and the first scores."""
-        self.moments, numbers = self._begin(keys, targets)
+        self.moments, numbers = self.programs.begin(keys, targets)
         return _host(numbers)
 
     def renew(
         self, over: Bool[np.ndarray, " b"], keys: Key[jax.Array, " b"], targets: Int[np.ndarray, " b"]
     ) -> tuple[Any, np.ndarray]:
         """Fresh episodes in those that are `over`, from their keys: what all see, and their scores."""
-        self.moments, numbers = self._again(self.moments, jnp.asarray(over), keys, targets)
+        self.moments, numbers = self.programs.again(self.moments, jnp.asarray(over), keys, targets)
         return _host(numbers)
 
     def step(self, actions: np.ndarray) -> Steps:
         """One step everywhere; actions (b, m) in [-1, 1], beyond that they are clipped."""
-        self.moments, self.transition, numbers = self._advance(self.moments, np.asarray(actions, np.float32))
+        self.moments, self.transition, numbers = self.programs.advance(self.moments, np.asarray(actions, np.float32))
         return _host(numbers)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array
 from stable_baselines3.common.vec_env import VecEnv
 
 from foveate.environment import Environment
-from foveate.learning.batch import Batch
+from foveate.learning.batch import Batch, Programs
 from foveate.learning.torch_attention import flat_inputs
 from foveate.policies.attention import AttentionSettings
 from foveate.problem import Observation
@@ -34,10 +34,10 @@ class TargetsVecEnv(VecEnv):
         def look(observation: Observation, left: Scalar) -> Array:
             return flat_inputs(environment.problem, settings, observation, left)
 
-        self._batch, self._key, self._reward_scale = Batch(environment, look, count), key, reward_scale
+        self._batch, self._key, self._reward_scale = Batch(Programs(environment, look, count)), key, reward_scale
         self._actions = np.zeros((count, self._batch.axes), np.float32)
         self._returns = np.zeros(count)
-        size = self._batch.shapes.shape[1]
+        size = self._batch.programs.shapes.shape[1]
         rows = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
 
