@@ -101,7 +101,7 @@ class TrackingVectorEnv(VectorEnv):
         num_envs: int = 1,
         scenario: Scenario | str | Path = "paper",
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **options: Any,
     ) -> None:
         if num_envs < 1:
@@ -161,7 +161,7 @@ class TrackingVectorEnv(VectorEnv):
         if self._over.any():
             raise ResetNeeded(f"{self._over.sum()} environments have no episode under way: reset them first")
         steps = self._task.batch.step(self._task.actions(actions))
-        infos: dict[str, Any] = {"score": steps.score, "_score": np.ones(self.num_envs, bool)}
+        infos: dict[str, Any] = {"score": steps.now, "_score": np.ones(self.num_envs, bool)}
         if not self._anew:
             self._over = steps.done
         elif steps.done.any():
@@ -173,7 +173,7 @@ class TrackingVectorEnv(VectorEnv):
         """How the episodes ended that are over, as Gymnasium's own vector environments tell it."""
         last = np.full(self.num_envs, None, object)
         for i in np.flatnonzero(steps.done):
-            last[i] = jax.tree.map(lambda x, i=i: x[i], steps.end)
+            last[i] = {name: x[i] for name, x in steps.end.items()} if isinstance(steps.end, dict) else steps.end[i]
         final = {"score": np.where(steps.done, steps.score, 0.0), "_score": steps.done.copy()}
         return {
             "final_obs": last,

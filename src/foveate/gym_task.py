@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium import spaces
 from jaxtyping import Array
+from jaxtyping import Key as Keys
 
 from foveate.checkpoint import CONFIG
 from foveate.configuration import load_toml
@@ -21,7 +22,7 @@ from foveate.problem import Observation
 from foveate.rollout import PROTOCOLS
 from foveate.scenario import Scenario
 from foveate.settings import PRESETS, Experiment
-from foveate.types import Key, Scalar
+from foveate.types import Scalar
 
 LARGEST = np.finfo(np.float32).max
 """The bound of numbers that have none: infinite ones are what checkers of environments complain of."""
@@ -136,7 +137,7 @@ class Task:
         return (done, never) if self.settings.horizon == "terminated" else (never, done)
 
 
-def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Key:
+def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Keys[jax.Array, " b"]:
     """A key for each seed, any whole number from 0; where there is none it is drawn."""
     drawn = chance.integers(2**63, size=len(seeds)).tolist()
     states = [np.random.SeedSequence(own if seed is None else seed) for seed, own in zip(seeds, drawn, strict=True)]

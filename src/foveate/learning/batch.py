@@ -18,13 +18,15 @@ Look = Callable[[Observation, Scalar], PyTree]
 
 
 class Steps(NamedTuple):
-    """What one step brought to b environments. Where an episode is over, `seen` is what comes next, `end` its end."""
+    """What one step brought to b environments. Where an episode is over, `seen` and the score `now` are those of the
+    next one, if it has begun, `end` and `score` its last."""
 
     seen: Any
     end: Any
     reward: Float[Any, " b"]
     done: Bool[Any, " b"]
     score: Float[Any, " b"]
+    now: Float[Any, " b"]
     length: Int[Any, " b"]
 
 
@@ -51,8 +53,8 @@ class Programs:
             else:
                 after, transition = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
                 end = None
-            numbers = Steps(seen(after), end, transition.reward, transition.done, transition.score, length)
-            return after, transition, numbers
+            reward, done, score = transition.reward, transition.done, transition.score
+            return after, transition, Steps(seen(after), end, reward, done, score, after.score, length)
 
         def again(moments, over, keys, targets):
             moments = eqx.tree_at(lambda m: m.key, moments, jnp.where(over, keys, moments.key))
