@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -56,11 +55,11 @@ class TrackingEnv(gymnasium.Env):
         super().reset(seed=seed)
         batch, targets = self._task.batch, self._task.targets(options or {})
         keys = keys_of([seed], self.np_random) if seed is not None or batch.moments is None else batch.moments.key
-        seen, score = batch.begin(keys, targets)
+        seen, score = batch.renew(keys, targets=targets)
         self._over = False
         if self._screen:
             self._screen.begin(batch)
-        return jax.tree.map(lambda x: x[0], seen), {"score": float(score[0])}
+        return self._task.shown(seen, 0), {"score": float(score[0])}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, measure, update. Raises ResetNeeded where no episode is under way."""
@@ -71,7 +70,7 @@ class TrackingEnv(gymnasium.Env):
         self._over = terminated or truncated
         if self._screen:
             self._screen.add(self._task.batch)
-        seen = jax.tree.map(lambda x: x[0], steps.seen)
+        seen = self._task.shown(steps.seen, 0)
         return seen, float(steps.reward[0]), terminated, truncated, {"score": float(steps.score[0])}
 
     def render(self) -> np.ndarray | None:
@@ -138,14 +137,15 @@ class TrackingVectorEnv(VectorEnv):
         targets, mask = self._task.targets(options), self._mask(options)
         if batch.moments is None and not mask.all():
             raise ResetNeeded("options['reset_mask']: no episode is under way yet: reset all first")
-        if batch.moments is None or (mask.all() and None not in seeds):
-            seen, score = batch.begin(keys_of(seeds, self.np_random), targets)
+        given = np.array([each is not None for each in seeds])
+        if batch.moments is None:
+            keys = keys_of(seeds, self.np_random)
         else:
-            given = np.array([each is not None for each in seeds])
-            keys = keys_of(seeds, self.np_random) if given.any() else batch.moments.key
-            seen, score = batch.renew(mask, jnp.where(given, keys, batch.moments.key), targets)
+            own = batch.moments.key
+            keys = jnp.where(given, keys_of(seeds, self.np_random), own) if given.any() else own
+        seen, score = batch.renew(keys, mask, targets)
         self._over = self._over & ~mask
-        return seen, {"score": score, "_score": np.ones(self.num_envs, bool)}
+        return self._task.shown(seen), {"score": score, "_score": np.ones(self.num_envs, bool)}
 
     def _mask(self, options: Mapping[str, Any]) -> np.ndarray:
         mask = options.get("reset_mask")
@@ -167,13 +167,13 @@ class TrackingVectorEnv(VectorEnv):
         elif steps.done.any():
             infos |= self._finals(steps)
         terminated, truncated = self._task.ends(steps.done)
-        return steps.seen, steps.reward.astype(np.float64), terminated, truncated, infos
+        return self._task.shown(steps.seen), steps.reward.astype(np.float64), terminated, truncated, infos
 
     def _finals(self, steps: Any) -> dict[str, Any]:
         """How the episodes ended that are over, as Gymnasium's own vector environments tell it."""
         last = np.full(self.num_envs, None, object)
-        for i in np.flatnonzero(steps.done):
-            last[i] = {name: x[i] for name, x in steps.end.items()} if isinstance(steps.end, dict) else steps.end[i]
+        for i in np.flatnonzero(steps.done).tolist():
+            last[i] = self._task.shown(steps.end, i)
         final = {"score": np.where(steps.done, steps.score, 0.0), "_score": steps.done.copy()}
         return {
             "final_obs": last,

@@ -1,8 +1,9 @@
 """What both kinds of Gymnasium environment are made of: checked options, simulation, spaces, seeds."""
 
 import functools
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,14 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium import spaces
-from jaxtyping import Array
-from jaxtyping import Key as Keys
+from jaxtyping import Key
 
 from foveate.checkpoint import CONFIG
 from foveate.configuration import load_toml
 from foveate.environment import Environment
 from foveate.learning.batch import Batch, Programs
-from foveate.policies.inputs import Frame, Scale, told
+from foveate.policies.inputs import Frame, Scale, Told, told
 from foveate.problem import Observation
 from foveate.rollout import PROTOCOLS
 from foveate.scenario import Scenario
@@ -81,18 +81,22 @@ class TaskSettings:
 
 
 @functools.lru_cache(maxsize=8)
-def _programs(settings: TaskSettings, count: int, anew: bool) -> Programs:
+def _programs(
+    scenario: Scenario,
+    protocol: str,
+    noise: bool,
+    look: tuple[Frame, float, Scale],
+    count: int,
+    anew: bool,
+) -> Programs:
     """One compilation for all environments that are alike."""
-    scenario = scenario_of(settings.scenario)
-    problem = scenario.problem()
-    environment = Environment(problem, scenario.scenes, PROTOCOLS[settings.protocol], settings.noise)
-    length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m
+    problem, (frame, length_m, information) = scenario.problem(), look
+    environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
 
-    def look(observation: Observation, left: Scalar) -> dict[str, Array] | Array:
-        found = told(observation, left, problem.agent.space, settings.frame, length_m, settings.information)
-        return found.row if settings.observation == "flat" else found._asdict()
+    def seen(observation: Observation, left: Scalar) -> Told:
+        return told(observation, left, problem.agent.space, frame, length_m, information)
 
-    return Programs(environment, look, count, anew)
+    return Programs(environment, seen, count, anew)
 
 
 class Task:
@@ -102,11 +106,20 @@ class Task:
         scenario = scenario_of(settings.scenario)
         if settings.frame == "body" and not scenario.problem().motion.begins_with_position:
             raise ValueError("frame = 'body': expected targets whose state begins with the position: take 'world'")
-        programs = _programs(replace(settings, scenario=scenario), count, anew)
+        length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m
+        look = (settings.frame, length_m, settings.information)
+        programs = _programs(scenario, settings.protocol, settings.noise, look, count, anew)
         self.settings, self.scenes, self.problem = settings, scenario.scenes, programs.environment.problem
         self.batch = Batch(programs)
-        self.observation_space = _space(programs.shapes)
+        self.observation_space = _space(programs.seen, settings.observation == "flat")
         self.action_space = spaces.Box(-1.0, 1.0, (self.batch.axes,), np.float32)
+
+    def shown(self, seen: Told, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:
+        """What is seen as the settings want it, of all environments or of one."""
+        if self.settings.observation == "flat":
+            parts = [x.reshape(len(x), -1) if index is None else x[index].ravel() for x in seen]
+            return np.concatenate(parts, axis=-1)
+        return {name: x if index is None else x[index] for name, x in seen._asdict().items()}
 
     def targets(self, options: Mapping[str, Any]) -> np.ndarray:
         """How many targets each of the next episodes shall have, 0 where that is drawn. Raises ValueError for options
@@ -137,7 +150,7 @@ class Task:
         return (done, never) if self.settings.horizon == "terminated" else (never, done)
 
 
-def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Keys[jax.Array, " b"]:
+def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Key[jax.Array, " b"]:
     """A key for each seed, any whole number from 0; where there is none it is drawn."""
     drawn = chance.integers(2**63, size=len(seeds)).tolist()
     states = [np.random.SeedSequence(own if seed is None else seed) for seed, own in zip(seeds, drawn, strict=True)]
@@ -145,13 +158,14 @@ def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Keys[ja
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
-def _space(shapes: Any) -> Any:
-    if isinstance(shapes, dict):
-        boxes: dict[str, spaces.Space] = {name: _box(shape.shape[1:]) for name, shape in shapes.items()}
-        boxes["mask"] = spaces.Box(0.0, 1.0, shapes["mask"].shape[1:], np.float32)
-        boxes["left"] = spaces.Box(0.0, 1.0, (1,), np.float32)
-        return spaces.Dict(boxes)
-    return _box(shapes.shape[1:])
+def _space(seen: Told, flat: bool) -> spaces.Space:
+    shapes: dict[str, tuple[int, ...]] = {name: x.shape[1:] for name, x in seen._asdict().items()}
+    if flat:
+        return _box((sum(map(math.prod, shapes.values())),))
+    boxes: dict[str, spaces.Space] = {name: _box(shape) for name, shape in shapes.items()}
+    for name in ("mask", "left"):
+        boxes[name] = spaces.Box(0.0, 1.0, shapes[name], np.float32)
+    return spaces.Dict(boxes)
 
 
 def _box(shape: tuple[int, ...]) -> spaces.Box:

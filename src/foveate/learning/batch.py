@@ -41,10 +41,6 @@ class Programs:
             left = 1.0 - moments.predicted.step / moments.episode.horizon
             return jax.vmap(look)(jax.vmap(observation)(moments), left)
 
-        def begin(keys, targets):
-            moments = jax.vmap(reset, (None, 0, 0))(environment, keys, targets)
-            return moments, (seen(moments), moments.score)
-
         def advance(moments, actions):
             length = moments.predicted.step + 1
             if anew:
@@ -61,12 +57,15 @@ class Programs:
             moments = renew(environment, moments, over, targets)
             return moments, (seen(moments), moments.score)
 
-        self.begin, self.again = eqx.filter_jit(begin), eqx.filter_jit(again, donate="all")
-        self.advance = eqx.filter_jit(advance, donate="all")
+        def blank(keys):
+            return jax.vmap(reset, (None, 0))(environment, keys)
+
+        self.advance, self.again = eqx.filter_jit(advance, donate="all"), eqx.filter_jit(again, donate="all")
         self.environment, self.count, self.axes = environment, count, len(environment.problem.agent.axes)
         keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), count))
-        self.shapes: PyTree[jax.ShapeDtypeStruct] = eqx.filter_eval_shape(begin, keys, None)[1][0]
-        """Of what is seen by all."""
+        self.moments = jax.eval_shape(blank, keys)
+        """Shapes and dtypes of where environments are, and of what is `seen` by them."""
+        self.seen: PyTree[jax.ShapeDtypeStruct] = jax.eval_shape(seen, self.moments)
 
 
 class Batch:
@@ -80,22 +79,34 @@ class Batch:
         self.moments: Moment | None = None
         self.transition: Transition | None = None
 
-    def begin(self, keys: Key[jax.Array, " b"], targets: Int[np.ndarray, " b"] | None = None) -> tuple[Any, np.ndarray]:
-        """Fresh episodes everywhere, with so many `targets` where that is > 0: what is seen, and the first scores."""
-        self.moments, numbers = self.programs.begin(keys, targets)
-        return _host(numbers)
-
     def renew(
-        self, over: Bool[np.ndarray, " b"], keys: Key[jax.Array, " b"], targets: Int[np.ndarray, " b"]
+        self,
+        keys: Key[jax.Array, " b"],
+        over: Bool[np.ndarray, " b"] | None = None,
+        targets: Int[np.ndarray, " b"] | None = None,
     ) -> tuple[Any, np.ndarray]:
-        """Fresh episodes in those that are `over`, from their keys: what all see, and their scores."""
-        self.moments, numbers = self.programs.again(self.moments, jnp.asarray(over), keys, targets)
+        """Fresh episodes, from their keys, in those that are `over` (None: in all), with so many `targets` where that
+        is > 0: what all see, and their scores."""
+        over = np.ones(self.count, bool) if over is None else over
+        moments = self.moments
+        if moments is None:
+            # All is overwritten. One program for this case too: what it costs is compilation.
+            moments = jax.tree.map(_nothing, self.programs.moments)
+        # A copy, for what is passed is used up.
+        keys = jnp.where(over, keys, keys)
+        self.moments, numbers = self.programs.again(moments, jnp.asarray(over), keys, targets)
         return _host(numbers)
 
     def step(self, actions: np.ndarray) -> Steps:
         """One step everywhere; actions (b, m) in [-1, 1], beyond that they are clipped."""
         self.moments, self.transition, numbers = self.programs.advance(self.moments, np.asarray(actions, np.float32))
         return _host(numbers)
+
+
+def _nothing(shape: jax.ShapeDtypeStruct) -> jax.Array:
+    if jnp.issubdtype(shape.dtype, jax.dtypes.prng_key):
+        return jax.random.split(jax.random.key(0), shape.shape)
+    return jnp.zeros(shape.shape, shape.dtype)
 
 
 def _host(tree: Any) -> Any:

@@ -37,7 +37,7 @@ class TargetsVecEnv(VecEnv):
         self._batch, self._key, self._reward_scale = Batch(Programs(environment, look, count)), key, reward_scale
         self._actions = np.zeros((count, self._batch.axes), np.float32)
         self._returns = np.zeros(count)
-        size = self._batch.programs.shapes.shape[1]
+        size = self._batch.programs.seen.shape[1]
         rows = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
 
@@ -48,7 +48,7 @@ class TargetsVecEnv(VecEnv):
         self._reset_seeds()
         self._key, key = jax.random.split(self._key)
         self._returns[:] = 0.0
-        return self._batch.begin(jax.random.split(key, self.num_envs))[0]
+        return self._batch.renew(jax.random.split(key, self.num_envs))[0]
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions for `step_wait`."""
