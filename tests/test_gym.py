@@ -15,15 +15,15 @@ from gymnasium.vector import AutoresetMode
 import foveate.gym
 from foveate.checkpoint import write_config
 from foveate.gym_task import TaskSettings, scenario_of
-from foveate.scenario import Scenario, SceneSettings
 from foveate.settings import PRESETS, QUADROTOR, Experiment
 
-TINY = Scenario(scenes=SceneSettings(targets_min=1, targets_max=3, steps_per_target=2, drift_m_s=(0.1, 0.1)))
+PAGE = Path(__file__).parents[1] / "docs" / "gymnasium.md"
 COUNT = 4
+"""As in the page that is run below: what is alike is compiled once."""
 
 
 def make(**options):
-    return gymnasium.make(foveate.gym.ID, scenario=TINY, **options).unwrapped
+    return gymnasium.make(foveate.gym.ID, **options).unwrapped
 
 
 def actions(rng, *shape):
@@ -37,9 +37,9 @@ def test_gymnasium_finds_nothing_wrong():
 
 
 def test_made_by_the_name_of_the_module():
-    env = gymnasium.make(f"foveate.gym:{foveate.gym.ID}", scenario=TINY)
+    env = gymnasium.make(f"foveate.gym:{foveate.gym.ID}")
     assert isinstance(env.unwrapped, foveate.gym.TrackingEnv)
-    assert isinstance(gymnasium.make_vec(foveate.gym.ID, 2, scenario=TINY), foveate.gym.TrackingVectorEnv)
+    assert isinstance(gymnasium.make_vec(foveate.gym.ID, 2), foveate.gym.TrackingVectorEnv)
 
 
 def same(one, other):
@@ -60,9 +60,9 @@ def same(one, other):
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED], ids=str)
 def test_the_vector_environment_is_single_ones_side_by_side(mode):
     """Gymnasium's `SyncVectorEnv` over single environments, step by step, through several ends of episodes."""
-    ours = gymnasium.make_vec(foveate.gym.ID, COUNT, scenario=TINY, autoreset_mode=mode)
+    ours = gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode=mode)
     theirs = gymnasium.make_vec(
-        foveate.gym.ID, COUNT, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, scenario=TINY
+        foveate.gym.ID, COUNT, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}
     )
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == mode
     assert ours.observation_space == theirs.observation_space
@@ -71,7 +71,7 @@ def test_the_vector_environment_is_single_ones_side_by_side(mode):
     (one, info), (other, other_info) = ours.reset(seed=5), theirs.reset(seed=5)
     same(one, other)
     same(info, other_info)
-    for k in range(16):
+    for k in range(60):
         now = actions(rng, COUNT)
         one, other = ours.step(now), theirs.step(now)
         assert one[0] in ours.observation_space
@@ -100,27 +100,27 @@ def test_seeds_and_options():
     other, _ = make().reset()
     assert not np.allclose(first["targets"], other["targets"]), "without a seed it is chance"
     assert info["score"] == pytest.approx(2 * np.log(0.5), abs=1e-6)  # Y_0 = 0.5 I in the plane
-    for n in (1, 2, 3):
+    for n in (3, 5):
         seen, _ = env.reset(options={"targets": n})
-        assert seen["mask"].tolist() == [1.0] * n + [0.0] * (3 - n)
+        assert seen["mask"].tolist() == [1.0] * n + [0.0] * (8 - n)
         assert not seen["targets"][n:].any()
         length, over = 0, False
         while not over:
             seen, _, terminated, over, _ = env.step(np.zeros(2))
             length += 1
             assert not terminated
-            np.testing.assert_allclose(seen["left"], 1 - length / (2 * n), atol=1e-6)
-        assert length == 2 * n
-    envs = gymnasium.make_vec(foveate.gym.ID, COUNT, scenario=TINY)
-    seen, _ = envs.reset(seed=[9, 2, 9, 2], options={"targets": np.array([3, 1, 3, 2])})
-    assert seen["mask"].sum(axis=1).tolist() == [3, 1, 3, 2]
+            np.testing.assert_allclose(seen["left"], 1 - length / (3 * n), atol=1e-6)
+        assert length == 3 * n
+    envs = gymnasium.make_vec(foveate.gym.ID, COUNT)
+    seen, _ = envs.reset(seed=[9, 2, 9, 2], options={"targets": np.array([5, 3, 5, 4])})
+    assert seen["mask"].sum(axis=1).tolist() == [5, 3, 5, 4]
     same(seen["targets"][0], seen["targets"][2])
 
 
 def test_what_is_seen_is_the_belief_in_the_agents_frame():
     """By hand: the predicted mean in the body frame in units of the view's depth, asinh of the turned information."""
     env = make()
-    seen, _ = env.reset(seed=1, options={"targets": 3})
+    seen, _ = env.reset(seed=1, options={"targets": 8})
     moment = env._task.batch.moments
     x, y, yaw = np.asarray(moment.predicted.pose[0])
     R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -129,7 +129,7 @@ def test_what_is_seen_is_the_belief_in_the_agents_frame():
         turned = R.T @ P @ R
         expected = [*(R.T @ (p - [x, y]) / 2.0), *np.arcsinh([turned[0, 0], turned[1, 0], turned[1, 1]])]
         np.testing.assert_allclose(row, expected, rtol=1e-5, atol=1e-5)
-    flat, _ = make(observation="flat", horizon="terminated").reset(seed=1, options={"targets": 3})
+    flat, _ = make(observation="flat", horizon="terminated").reset(seed=1, options={"targets": 8})
     np.testing.assert_array_equal(
         flat, np.concatenate([seen[name].ravel() for name in ("agent", "targets", "mask", "left")])
     )
@@ -179,7 +179,7 @@ def test_a_scenario_is_one_a_preset_a_file_or_a_run(tmp_path: Path):
     write_config(tmp_path, Experiment(scenario=QUADROTOR))
     assert scenario_of("paper") == PRESETS["paper"].scenario
     assert scenario_of(tmp_path) == scenario_of(str(tmp_path / "config.toml")) == QUADROTOR
-    assert scenario_of(TINY) is TINY
+    assert scenario_of(QUADROTOR) is QUADROTOR
     with pytest.raises(ValueError, match=re.escape("scenario = 'nobody': expected a preset (paper, best, quadrotor)")):
         scenario_of("nobody")
 
@@ -190,7 +190,7 @@ def test_wrong_use_is_named():
         ({"horizon": "never"}, "horizon = 'never'"),
         ({"length_m": 0.0}, "length_m = 0.0: expected > 0"),
     ]:
-        settings = TaskSettings(TINY)
+        settings = TaskSettings()
         for name, value in options.items():  # in the constructor the types that tests check would be in the way
             object.__setattr__(settings, name, value)
         with pytest.raises(ValueError, match=re.escape(complaint)):
@@ -198,32 +198,32 @@ def test_wrong_use_is_named():
     with pytest.raises(ValueError, match="noise = False"):
         make(noise=False)
     with pytest.raises(ValueError, match="autoreset_mode"):
-        gymnasium.make_vec(foveate.gym.ID, COUNT, scenario=TINY, autoreset_mode=AutoresetMode.NEXT_STEP)
+        gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode=AutoresetMode.NEXT_STEP)
     with pytest.raises(ValueError, match="render a single environment"):
-        gymnasium.make_vec(foveate.gym.ID, COUNT, scenario=TINY, render_mode="rgb_array")
+        gymnasium.make_vec(foveate.gym.ID, COUNT, render_mode="rgb_array")
     env = make()
     with pytest.raises(ResetNeeded):
         env.step(np.zeros(2))
-    env.reset(seed=0, options={"targets": 1})
+    env.reset(seed=0, options={"targets": 3})
     with pytest.raises(ValueError, match="expected finite numbers"):
         env.step(np.array([np.nan, 0.0]))
     with pytest.raises(ValueError, match=r"expected \(1, 2\)"):
         env.step(np.zeros(3))
-    for _ in range(2):
+    for _ in range(9):
         env.step(np.zeros(2))
     with pytest.raises(ResetNeeded):
         env.step(np.zeros(2))
     for options, complaint in [
-        ({"targets": 4}, r"options\['targets'\] = 4: expected whole numbers from 1 to 3"),
+        ({"targets": 9}, r"options\['targets'\] = 9: expected whole numbers from 3 to 8"),
         ({"scene": "a"}, r"options\['scene'\]: expected 'targets'"),
     ]:
         with pytest.raises(ValueError, match=complaint):
             env.reset(options=options)
-    envs = gymnasium.make_vec(foveate.gym.ID, COUNT, scenario=TINY, autoreset_mode="Disabled")
+    envs = gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode="Disabled")
     with pytest.raises(ResetNeeded):
         envs.reset(options={"reset_mask": np.array([True, False, False, False])})
-    envs.reset(seed=0, options={"targets": 1})
-    for _ in range(2):
+    envs.reset(seed=0, options={"targets": 3})
+    for _ in range(9):
         envs.step(np.zeros((COUNT, 2)))
     envs.reset(options={"reset_mask": np.array([True, False, False, False])})
     with pytest.raises(ResetNeeded, match="3 environments"):
@@ -262,18 +262,18 @@ def test_stable_baselines3_checks_and_learns():
 
 @pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
 def test_torchrl_collects_rollouts(mode):
-    """Its wrapper around the vector environment, against the environment stepped with the same actions."""
+    """Its wrapper around the vector environment: episodes end at the horizon, and the next ones begin whole."""
     torch = pytest.importorskip("torch", reason="needs PyTorch")
     pytest.importorskip("torchrl", reason="needs TorchRL: pip install torchrl")
     from torchrl.envs import GymWrapper
 
-    raw = gymnasium.make_vec(foveate.gym.ID, COUNT, scenario=TINY, autoreset_mode=mode)
+    raw = gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode=mode)
     env = GymWrapper(raw)
     env.set_seed(0)
     torch.manual_seed(0)
-    rollout = env.rollout(12, break_when_any_done=False)
-    assert rollout.batch_size == (COUNT, 12)
-    assert rollout["targets"].shape == (COUNT, 12, 3, 5)
+    rollout = env.rollout(50, break_when_any_done=False)
+    assert rollout.batch_size == (COUNT, 50)
+    assert rollout["targets"].shape == (COUNT, 50, 8, 5)
     over = rollout["next", "truncated"][..., 0].numpy()
     assert over.sum() >= COUNT
     left = rollout["next", "left"][..., 0].numpy()
@@ -281,3 +281,14 @@ def test_torchrl_collects_rollouts(mode):
     begins = rollout["left"][..., 0].numpy()
     np.testing.assert_allclose(begins[:, 1:][over[:, :-1]], 1.0, atol=1e-6)
     assert np.isfinite(rollout["next", "reward"].numpy()).all()
+
+
+def test_the_page_runs(monkeypatch, tmp_path):
+    """Block after block of docs/gymnasium.md, as a reader types them."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert len(blocks) >= 4
+    names = {}
+    for block in blocks:
+        exec(compile(block, str(PAGE), "exec"), names)

@@ -13,7 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import gymnasium
+try:
+    import gymnasium
+except ImportError as error:
+    raise ImportError("foveate.gym needs gymnasium: pip install 'foveate[gym]'") from error
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded

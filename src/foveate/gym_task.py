@@ -81,14 +81,7 @@ class TaskSettings:
 
 
 @functools.lru_cache(maxsize=8)
-def _programs(
-    scenario: Scenario,
-    protocol: str,
-    noise: bool,
-    look: tuple[Frame, float, Scale],
-    count: int,
-    anew: bool,
-) -> Programs:
+def _programs(scenario: Scenario, protocol: str, noise: bool, look: tuple[Frame, float, Scale], count: int) -> Programs:
     """One compilation for all environments that are alike."""
     problem, (frame, length_m, information) = scenario.problem(), look
     environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
@@ -96,7 +89,7 @@ def _programs(
     def seen(observation: Observation, left: Scalar) -> Told:
         return told(observation, left, problem.agent.space, frame, length_m, information)
 
-    return Programs(environment, seen, count, anew)
+    return Programs(environment, seen, count)
 
 
 class Task:
@@ -108,9 +101,9 @@ class Task:
             raise ValueError("frame = 'body': expected targets whose state begins with the position: take 'world'")
         length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m
         look = (settings.frame, length_m, settings.information)
-        programs = _programs(scenario, settings.protocol, settings.noise, look, count, anew)
+        programs = _programs(scenario, settings.protocol, settings.noise, look, count)
         self.settings, self.scenes, self.problem = settings, scenario.scenes, programs.environment.problem
-        self.batch = Batch(programs)
+        self.batch = Batch(programs, anew)
         self.observation_space = _space(programs.seen, settings.observation == "flat")
         self.action_space = spaces.Box(-1.0, 1.0, (self.batch.axes,), np.float32)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Key, PyTree
 
-from foveate.environment import Environment, Moment, Transition, observation, renew, reset, step, step_and_reset
+from foveate.environment import Environment, Moment, Transition, observation, renew, reset, step
 from foveate.problem import Observation
 from foveate.types import Scalar
 
@@ -18,8 +18,11 @@ Look = Callable[[Observation, Scalar], PyTree]
 
 
 class Steps(NamedTuple):
-    """What one step brought to b environments. Where an episode is over, `seen` and the score `now` are those of the
-    next one, if it has begun, `end` and `score` its last."""
+    """What one step brought to b environments: `seen` after it, and `score`; `length` is how many steps there were.
+
+    Where an episode is over and the next one has begun, `end` is what was seen at its end, and `seen` and the score
+    `now` are those of the next one; `end` is `seen` where nothing began.
+    """
 
     seen: Any
     end: Any
@@ -31,26 +34,16 @@ class Steps(NamedTuple):
 
 
 class Programs:
-    """What steps `count` environments, each drawing its episodes from its own key, compiled on first use.
+    """What steps `count` environments and begins their episodes, each from its own key; compiled on first use."""
 
-    With `anew` an episode that is over is followed by the next one in the same step, else by nothing until `renew`.
-    """
-
-    def __init__(self, environment: Environment, look: Look, count: int, anew: bool = True) -> None:
+    def __init__(self, environment: Environment, look: Look, count: int) -> None:
         def seen(moments: Moment) -> PyTree:
             left = 1.0 - moments.predicted.step / moments.episode.horizon
             return jax.vmap(look)(jax.vmap(observation)(moments), left)
 
         def advance(moments, actions):
-            length = moments.predicted.step + 1
-            if anew:
-                after, transition = step_and_reset(environment, moments, actions)
-                end = jax.vmap(look, (0, None))(transition.observation, jnp.zeros_like(transition.reward[0]))
-            else:
-                after, transition = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
-                end = None
-            reward, done, score = transition.reward, transition.done, transition.score
-            return after, transition, Steps(seen(after), end, reward, done, score, after.score, length)
+            after, made = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
+            return after, made, (seen(after), made.reward, made.done, made.score, after.predicted.step)
 
         def again(moments, over, keys, targets):
             moments = eqx.tree_at(lambda m: m.key, moments, jnp.where(over, keys, moments.key))
@@ -71,11 +64,12 @@ class Programs:
 class Batch:
     """Environments side by side, where they are now. Everything seen is float32 and the caller's own.
 
+    With `anew` an episode that is over is followed by the next one in the same step, else by nothing until `renew`.
     `transition` holds the last one, as JAX arrays, and `moments` where all environments are.
     """
 
-    def __init__(self, programs: Programs) -> None:
-        self.programs, self.count, self.axes = programs, programs.count, programs.axes
+    def __init__(self, programs: Programs, anew: bool = True) -> None:
+        self.programs, self.count, self.axes, self.anew = programs, programs.count, programs.axes, anew
         self.moments: Moment | None = None
         self.transition: Transition | None = None
 
@@ -88,6 +82,7 @@ class Batch:
         """Fresh episodes, from their keys, in those that are `over` (None: in all), with so many `targets` where that
         is > 0: what all see, and their scores."""
         over = np.ones(self.count, bool) if over is None else over
+        targets = np.zeros(self.count, np.int32) if targets is None else targets
         moments = self.moments
         if moments is None:
             # All is overwritten. One program for this case too: what it costs is compilation.
@@ -99,8 +94,13 @@ class Batch:
 
     def step(self, actions: np.ndarray) -> Steps:
         """One step everywhere; actions (b, m) in [-1, 1], beyond that they are clipped."""
-        self.moments, self.transition, numbers = self.programs.advance(self.moments, np.asarray(actions, np.float32))
-        return _host(numbers)
+        actions = np.asarray(actions, np.float32)
+        self.moments, self.transition, numbers = self.programs.advance(self.moments, actions)
+        seen, reward, done, score, length = _host(numbers)
+        end, now = seen, score
+        if self.anew and done.any():
+            seen, now = self.renew(self.moments.key, done)
+        return Steps(seen, end, reward, done, score, now, length)
 
 
 def _nothing(shape: jax.ShapeDtypeStruct) -> jax.Array:
