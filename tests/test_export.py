@@ -1,7 +1,9 @@
 """Exported policies against the JAX ones, which have oracles of their own; run by the real onnxruntime."""
 
 import json
+import re
 import runpy
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -29,6 +31,7 @@ onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
 
 ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "deploy.md"
 EXAMPLE = ROOT / "examples" / "run_onnx.py"
 COUNT, MOST = 1000, 64
 CASES = {
@@ -252,7 +255,7 @@ def test_wrong_input_is_one_line_and_leaves_nothing(trained, tmp_path, capsys, m
     assert "ends in .onnx" in failure(capsys, "export", folder, str(tmp_path / "x.txt"))
     assert "opset = 12: expected from 13 to 24" in failure(capsys, "export", folder, out, "--opset", "12")
     assert "no folder" in failure(capsys, "export", folder, str(tmp_path / "no" / "x.onnx"))
-    assert "train it" in failure(capsys, "export", "best", out)
+    assert "no such run folder" in failure(capsys, "export", "nowhere", out)
     with pytest.raises(ValueError, match="Still has no ONNX graph"):
         to_onnx(Experiment(), handmade("still", Scenario().problem(), 2.0))
     monkeypatch.setitem(sys.modules, "onnx", None)
@@ -272,3 +275,18 @@ def test_a_file_is_replaced_whole_or_not_at_all(trained, tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space"):
         export(experiment, strong(experiment), old)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+def test_the_page_runs(trained, tmp_path, monkeypatch):
+    """docs/deploy.md, block after block: the export, and what a reader types then."""
+    shutil.copytree(trained[0], tmp_path / "runs" / "first")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    (name, *arguments) = next(block for kind, block in blocks if kind == "sh").split()
+    assert name == "foveate"
+    assert main(arguments) == 0
+    names = {}
+    for block in (block for kind, block in blocks if kind == "python"):
+        exec(compile(block, str(PAGE), "exec"), names)
+    assert names["tracker"].ids == ("car", "bike")
+    assert not names["tracker"].refused

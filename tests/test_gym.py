@@ -1,7 +1,9 @@
 """The Gymnasium environments by the checks of Gymnasium and Stable-Baselines3, against Gymnasium's own vector
 environment over single ones, and under real learners."""
 
+import importlib
 import re
+import sys
 import warnings
 from pathlib import Path
 
@@ -233,6 +235,13 @@ def test_wrong_use_is_named():
             envs.reset(options={"reset_mask": mask})
     with pytest.raises(ValueError, match="seed has 2 numbers"):
         envs.reset(seed=[1, 2])
+
+
+def test_without_gymnasium_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, "foveate.gym")
+    with pytest.raises(ImportError, match=re.escape("pip install 'foveate[gym]'")):
+        importlib.import_module("foveate.gym")
 
 
 def test_stable_baselines3_checks_and_learns():
