@@ -242,6 +242,14 @@ def test_the_example_needs_numpy_and_onnxruntime_only(trained):
     assert "us a decision, one every 1.0 s" in lines[2]
 
 
+def test_the_example_refuses_a_file_of_another_version(trained, tmp_path):
+    model = onnx.load(trained[1])
+    next(each for each in model.metadata_props if each.key == "format_version").value = "2"
+    onnx.save(model, tmp_path / "later.onnx")
+    with pytest.raises(ValueError, match=r"later.onnx: not a foveate-policy of version 1"):
+        runpy.run_path(str(EXAMPLE))["OnnxPolicy"](str(tmp_path / "later.onnx"))
+
+
 def failure(capsys, *arguments):
     assert main(arguments) == 2
     line = capsys.readouterr().err.strip()

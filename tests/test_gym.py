@@ -17,8 +17,12 @@ from gymnasium.vector import AutoresetMode
 import foveate.gym
 from foveate.checkpoint import write_config
 from foveate.gym_task import TaskSettings, scenario_of
+from foveate.scenario import Scenario, SceneSettings
 from foveate.settings import PRESETS, QUADROTOR, Experiment
+from foveate.target_settings import LinearTarget
 
+EYE = ((1.0, 0.0), (0.0, 1.0))
+REVERSED = LinearTarget(kind="linear", A=EYE, B=EYE, W=EYE, Z=EYE[::-1], prior=EYE)
 PAGE = Path(__file__).parents[1] / "docs" / "gymnasium.md"
 COUNT = 4
 """As in the page that is run below: what is alike is compiled once."""
@@ -197,6 +201,8 @@ def test_wrong_use_is_named():
             object.__setattr__(settings, name, value)
         with pytest.raises(ValueError, match=re.escape(complaint)):
             settings.__post_init__()
+    with pytest.raises(ValueError, match="expected targets whose state begins with the position"):
+        gymnasium.make(foveate.gym.ID, scenario=Scenario(target=REVERSED, scenes=SceneSettings(drift_m_s=(0.0, 0.0))))
     with pytest.raises(ValueError, match="noise = False"):
         make(noise=False)
     with pytest.raises(ValueError, match="autoreset_mode"):
