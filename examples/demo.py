@@ -19,7 +19,7 @@ import numpy as np
 from foveate.animation import animate
 from foveate.checkpoint import load_run
 from foveate.episodes import table1
-from foveate.evaluation import evaluate, prepare, result, simulate, summarise
+from foveate.evaluation import evaluate, prepare, simulate
 from foveate.figures import learning_curve, trajectory_figure
 from foveate.files import write_json
 from foveate.film import film
@@ -27,6 +27,7 @@ from foveate.learning.training import METRICS, train
 from foveate.published import MODEL_BASED, MODEL_FREE
 from foveate.rollout import PROTOCOLS
 from foveate.settings import PRESETS
+from foveate.summary import result, summarise
 
 OUT = Path("runs/demo")
 

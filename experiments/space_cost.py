@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.learning.policy_gradient import begin, epochs
+from foveate.learning.policy_gradient import begin, epoch, epochs, objective
 from foveate.policies.attention import AttentionSettings
 from foveate.settings import DEEPER, PRESETS, Experiment, TrainingSettings
 
@@ -26,7 +26,11 @@ def timed(experiment: Experiment):
     """A function that runs EPOCHS epochs and returns the seconds that one episode step of one of them took."""
     problem, scenes, training = experiment.scenario.problem(), experiment.scenario.scenes, experiment.training
     learner = begin(experiment.policy.policy(problem, jax.random.key(0)), training)
-    advance = eqx.filter_jit(lambda count, learner, key: epochs(problem, scenes, training, count, learner, key))
+
+    def one(learner, key):
+        return epoch(problem, scenes, training, learner, key, objective)
+
+    advance = eqx.filter_jit(lambda count, learner, key: epochs(one, count, learner, key))
     steps = scenes.horizon(scenes.targets_max) * training.episodes
 
     def run() -> float:

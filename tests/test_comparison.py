@@ -8,10 +8,12 @@ from scipy import stats
 
 from foveate.closeness import floors, with_closeness
 from foveate.comparison import Part, as_json, compare
-from foveate.evaluation import Row, summarise
-from foveate.report import markdown, tables
+from foveate.evaluation import Row
+from foveate.pages import markdown
+from foveate.report import tables
 from foveate.scenario import Scenario
 from foveate.scenes import Scene
+from foveate.summary import summarise
 
 SCENES = 8
 CELLS = (("unbiased", 3), ("biased", 5))
@@ -22,6 +24,7 @@ def rows(method: str, scores: np.ndarray, protocol: str = "true", seconds: float
     """One row for each of `scores` (cell, scene)."""
     numbers = {"seen_fraction": 0.5, "seen_step_fraction": 0.25, "longest_unseen_s": 3.0, "entropy": 0.1}
     numbers |= {"rmse_m": 0.2, "nees": 2.0, "step_time_s": seconds, "episode": 0, "seed": 0}
+    numbers |= {"rmse_seen_m": 0.1, "rmse_unseen_m": 0.4, "nees_seen": 1.5, "nees_unseen": 2.5}
     return tuple(
         Row(scene=f"{motion}-{n}-{i}", score=float(scores[c, i]), motion=motion, targets=n, method=method,
             protocol=protocol, **numbers)
@@ -112,12 +115,25 @@ def test_tables_say_it(comparison):
     for table in found:
         assert {len(row) for row in table.rows} == {len(table.header)}
     lines = text.splitlines()
-    assert lines.count("| method | kind | 3 unbiased | 5 biased |") == 3
-    assert sum(line.startswith("| other | planned |") for line in lines) == 4
+    assert lines.count("| method | kind | 3 unbiased | 5 biased |") == 6
+    assert sum(line.startswith("| other | planned |") for line in lines) == 8
+
+
+def test_tables_say_whether_the_filter_knows_its_errors():
+    """NEES 2 is within every band of 24 and 40 targets, 1.5 and 2.5 only within those of few."""
+    given = tuple(replace(row, nees_seen=1.0, seen_fraction=1.0, nees_unseen=None) for row in rows("net", BASE))
+    part = Part(method="net", family="trained", training_seed=None, protocol="true", rows=given,
+                initial_error="consistent")  # fmt: skip
+    found = {table.title: table for table in tables(compare([part], "net", FLOORS, 2), "true")}
+    nees = found["true, consistent first errors: NEES by cell"]
+    low, high = stats.chi2.interval(0.95, 2 * 3 * SCENES) / np.array(3 * SCENES)
+    assert nees.rows[0][2] == f"2.00 ({low:.2f} to {high:.2f}) / 1.00* / -"
+    (line,) = found["true, consistent first errors: what was seen, and whether the filter knows its errors"].rows
+    assert line[2:] == ("100%", "25.0%", "3.0", "0.20", "0.10", "0.40", "2.00", "1.00", "-", "0 of 2")
 
 
 def test_json_keeps_the_training_seed(comparison):
-    data = as_json(comparison, {"quick": True})
+    data = as_json([comparison], {"quick": True})
     assert data["quick"] is True
     assert len(data["rows"]) == 4 * 2 * SCENES
     assert {row["training_seed"] for row in data["rows"] if row["method"] == "net"} == {0, 10}

@@ -1,31 +1,22 @@
 """Measures by hand, by brute force and by scipy; the same chance for every method; an honest filter looks honest."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
-from scipy.stats import t as student
 
-from foveate.evaluation import (
-    Row,
-    _measures,
-    chi_square_band,
-    evaluate,
-    longest_run,
-    prepare,
-    result,
-    simulate,
-    summarise,
-)
+from foveate.evaluation import evaluate, prepare, simulate
+from foveate.measures import chi_square_band, longest_run, measures
 from foveate.policies.handmade import handmade
 from foveate.problem import Trace
 from foveate.rollout import TRUE
 from foveate.scenario import Scenario, SceneSettings
 from foveate.scenes import Scene
+from foveate.summary import result, summarise
 from foveate.view_settings import SectorView
 
 PAPER = Scenario().problem()
@@ -71,9 +62,9 @@ def test_chi_square_band_of_a_single_episode_is_a_band():
 
 
 def test_measures_by_hand():
-    """Two targets, three of five steps count, a third column is padding; numbers small enough to do by hand."""
+    """Two targets, of which the second is never seen; three of five steps count, a third column is padding."""
     scene = Scene(id="s", agent=(0.0,) * 3, targets=((0.0, 0.0),) * 2, drift=((0.0, 0.0),) * 2, horizon=3)
-    visible = np.array([[0, 1, 1], [0, 1, 1], [1, 0, 1], [1, 1, 1], [1, 1, 1]], bool)
+    visible = np.array([[0, 0, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1], [1, 1, 1]], bool)
     information = np.tile(np.eye(2), (6, 3, 1, 1)) * 1e6
     information[3, 0], information[3, 1] = np.diag([4.0, 1.0]), np.diag([1.0, 9.0])
     mean, truth = np.full((6, 3, 2), 77.0), np.zeros((6, 3, 2))
@@ -83,18 +74,22 @@ def test_measures_by_hand():
     log_det[2, :2] = [np.log(4), np.log(9)]
     trace = Trace(*map(jnp.asarray, (np.zeros((6, 3)), np.zeros((5, 2)), mean, information, log_det, visible)),
                   jnp.ones((6, 3), bool))  # fmt: skip
-    measures = _measures(replace_tau(0.5), jax.tree.map(np.asarray, trace), truth, scene)
+    found = measures(replace_tau(0.5), jax.tree.map(np.asarray, trace), truth, scene)
     entropies = [multivariate_normal(np.zeros(2), np.linalg.inv(information[3, j])).entropy() for j in range(2)]
     expected = {
         "score": (np.log(4) + np.log(9)) / 2,
         "entropy": np.mean(entropies),
-        "seen_fraction": 1.0,
-        "seen_step_fraction": 3 / 6,
-        "longest_unseen_s": 2 * 0.5,
+        "seen_fraction": 0.5,
+        "seen_step_fraction": 1 / 6,
+        "longest_unseen_s": 3 * 0.5,
         "rmse_m": np.sqrt((0.25 + 1.0 + 1.0) / 2),
-        "nees": ((4 * 0.25 + 1.0) + 9.0) / 2,
+        "nees": ((4 * 0.25 + 1.0) + 9.0 * 1.0) / 2,
+        "rmse_seen_m": np.sqrt(1.25),
+        "rmse_unseen_m": 1.0,
+        "nees_seen": 2.0,
+        "nees_unseen": 9.0,
     }
-    assert measures == pytest.approx(expected, abs=1e-12)
+    assert found == pytest.approx(expected, abs=1e-12)
 
 
 def replace_tau(tau):
@@ -148,36 +143,6 @@ def test_scenes_without_targets_stay_out_of_the_summary(rows):
         (protocol, motion, n, 2) for protocol in ("surrogate", "true") for motion, n in (("biased", 1), ("unbiased", 3))
     ]
     assert summarise([r for r in found if r.targets == 0], 2) == []
-
-
-def row(scene, score, nees, seen):
-    numbers = {"seen_fraction": seen, "seen_step_fraction": seen / 2, "rmse_m": 2 * seen, "nees": nees}
-    names = {"method": "m", "protocol": "true", "motion": "biased", "targets": 4, "episode": 0, "seed": 0}
-    return Row(scene=scene, score=score, entropy=0.0, longest_unseen_s=0.0, step_time_s=1.0, **numbers, **names)
-
-
-def test_summary_statistics():
-    rng = np.random.default_rng(1)
-    scenes = [f"s{i}" for i in range(12) for _ in range(3)]
-    score, nees, seen = rng.normal(3, 2, 36), rng.chisquare(2, 36), rng.random(36)
-    given = [row(*values) for values in zip(scenes, score.tolist(), nees.tolist(), seen.tolist(), strict=True)]
-    given = [replace(one, episode=i % 3) for i, one in enumerate(given)]
-    (cell,) = summarise(given, state_size=2)
-    (twice,) = summarise(given + given, state_size=2)
-    assert twice.nees_band == cell.nees_band, "the same chance twice, as for two training seeds, says nothing new"
-    means = score.reshape(12, 3).mean(axis=1)
-    half = student.ppf(0.975, 11) * means.std(ddof=1) / np.sqrt(12)
-    expected = [score.mean(), score.std(ddof=1), seen.mean(), seen.mean() / 2, 2 * seen.mean(), nees.mean()]
-    found = [cell.mean, cell.std, cell.seen_fraction, cell.seen_step_fraction, cell.rmse_m, cell.nees]
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-    np.testing.assert_allclose(cell.ci95, [score.mean() - half, score.mean() + half], rtol=1e-10)
-    np.testing.assert_allclose(cell.nees_band, np.array(chi2.interval(0.95, 2 * 4 * 36)) / (4 * 36), rtol=2e-3)
-    assert cell.episodes == 36
-    (single,) = summarise(given[:1], state_size=2)
-    assert (single.std, single.ci95) == (0.0, (single.mean, single.mean))
-    order = [row_.method for row_ in (replace(given[0], method="b"), replace(given[0], method="a"))]
-    assert [c.method for c in summarise([replace(given[0], method=m) for m in order], 2)] == ["b", "a"]
-    assert asdict(cell)["ci95"] == cell.ci95
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from foveate.cli.main import main
 from foveate.export import OPSETS, export, inputs_of, to_onnx
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.handmade import handmade
+from foveate.policies.pointer import PointerSettings
 from foveate.policies.pooling import PoolingSettings
 from foveate.problem import Observation
 from foveate.scenario import Scenario
@@ -41,6 +42,8 @@ CASES = {
     "attention, world, in space": Experiment(scenario=QUADROTOR, policy=replace(DEEPER, frame="world")),
     "pooling": Experiment(policy=PoolingSettings(kind="pooling")),
     "pooling, in space": Experiment(scenario=QUADROTOR, policy=PoolingSettings(kind="pooling")),
+    "pointer": Experiment(policy=PointerSettings(kind="pointer")),
+    "pointer, in space": Experiment(scenario=QUADROTOR, policy=PointerSettings(kind="pointer")),
 }
 
 
@@ -51,6 +54,8 @@ GAINS = {
     "attention, world, in space": 0.8,
     "pooling": 1.3,
     "pooling, in space": 1.25,
+    "pointer": 1.3,
+    "pointer, in space": 1.25,
 }
 """Scales of weights with which decisions differ and are not all extreme."""
 

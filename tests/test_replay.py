@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from foveate.policies.handmade import handmade
 from foveate.recorded import load_recording
@@ -58,7 +59,7 @@ def inside(x: float, y: float) -> bool:
 
 def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
-    row, _ = replay(ready, "still", handmade("still", ready.problem, DEPTH))
+    row, trace = replay(ready, "still", handmade("still", ready.problem, DEPTH))
 
     position = {
         "a": lambda t: (-8 + t, 1.1),
@@ -84,6 +85,28 @@ def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> N
     assert row.seen_time_fraction == pytest.approx(np.mean(looks))
     assert row.seen_fraction == seen / 4
     assert row.longest_unseen_s == pytest.approx(TAU * longest)
+
+    # Who was ever seen, and the errors of these and of the others, from what the trace and the recording say.
+    slots, truth = ready.slots, ready.truth
+    ids = [slots.track_ids[i] if i >= 0 else "" for i in slots.track_index.ravel()]
+    names = np.array(ids).reshape(slots.track_index.shape)
+    ever = {name for name in there if any(inside(*position[name](TAU * k)) for first, last in there[name]
+            for k in range(1, 41) if first <= TAU * (k - 1) and TAU * k <= last)}  # fmt: skip
+    squares, errors, steps = {True: [], False: []}, {True: [], False: []}, dict.fromkeys(there, 0)
+    for k, column in zip(*np.nonzero(names[1:] != ""), strict=True):
+        name = names[k + 1, column]
+        if names[k, column] == name:
+            error = trace.mean[k + 1, column] - truth[k + 1, column]
+            squares[name in ever].append(error @ error)
+            errors[name in ever].append(error @ trace.information[k + 1, column] @ error)
+            steps[name] += 1
+    assert row.rmse_seen_m == pytest.approx(math.sqrt(np.mean(squares[True])))
+    assert row.rmse_unseen_m == pytest.approx(math.sqrt(np.mean(squares[False])))
+    assert row.nees_seen == pytest.approx(np.mean(errors[True]))
+    assert row.nees_unseen == pytest.approx(np.mean(errors[False]))
+    weights = np.array(list(steps.values())) / sum(steps.values())
+    count = 1 / np.sum(weights**2)
+    np.testing.assert_allclose(row.nees_band, np.array(chi2.interval(0.95, 2 * count)) / count, rtol=0.05)
 
 
 def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:

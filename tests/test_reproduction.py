@@ -42,6 +42,7 @@ class MadeUp(Method):
         report(len(bench.suite.scenes))
         numbers = {"score": 1.5, "seen_fraction": 0.5, "seen_step_fraction": 0.25, "longest_unseen_s": 3.0}
         numbers |= {"entropy": 0.1, "rmse_m": 0.2, "nees": 2.0, "step_time_s": 1e-3}
+        numbers |= {"rmse_seen_m": 0.1, "rmse_unseen_m": 0.4, "nees_seen": 1.5, "nees_unseen": 2.5}
         names = {"method": self.name, "protocol": protocol, "episode": 0, "seed": 0}
         return [
             Row(scene=scene.id, motion=scene.motion, targets=len(scene.targets), **names, **numbers)
@@ -96,7 +97,8 @@ def test_units_stand_in_an_order_that_can_be_done():
 
 def test_all_is_done_once_and_comes_back(tmp_path):
     told = []
-    parts, trained = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
+    found = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
+    parts, trained = found.parts, found.trained
     assert CALLS == [
         "planner surrogate None",
         "planner true None",
@@ -118,7 +120,7 @@ def test_all_is_done_once_and_comes_back(tmp_path):
     assert (0, "planner, surrogate: 4 of 4 episodes") in told
     CALLS.clear()
     times = {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()}
-    assert reproduce(a_study(), tmp_path) == (parts, trained)
+    assert reproduce(a_study(), tmp_path) == found
     assert CALLS == []
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()} == times
 

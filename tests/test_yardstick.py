@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from foveate import yardstick
-from foveate.evaluation import prepare, rows_of, simulate, summarise
+from foveate.evaluation import prepare, rows_of, simulate
 from foveate.planning.shooting import PAPER, PlanSettings
 from foveate.policies.handmade import handmade
 from foveate.rollout import TRUE
 from foveate.scenario import Scenario, ScheduleSettings
 from foveate.scenes import Scene
+from foveate.summary import summarise
 from foveate.yardstick import closeness, floor, omniscient, omniscient_rows
 
 SCENARIO = Scenario()

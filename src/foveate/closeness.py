@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from foveate.evaluation import Row, Suite, Summary
+from foveate.evaluation import Row, Suite
 from foveate.files import cache_folder
 from foveate.planning.shooting import OMNISCIENT
 from foveate.problem import Problem
 from foveate.scenes import Scene
+from foveate.summary import Summary
 from foveate.yardstick import closeness, floor, omniscient, omniscient_rows
 
 Cell = tuple[str, int]

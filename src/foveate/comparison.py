@@ -3,26 +3,28 @@
 The unit that is independent is the scene: a method that was trained with several seeds counts with its mean over them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from foveate.closeness import Cell, with_closeness
-from foveate.evaluation import Row, Summary, summarise
+from foveate.evaluation import Row
 from foveate.statistics import holm, paired
+from foveate.summary import Summary, summarise
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """The rows of one method under one protocol, for one training seed if it has a training."""
+    """The rows of one method under one protocol and first error, for one training seed if it has a training."""
 
     method: str
     family: str
     training_seed: int | None
     protocol: str
     rows: tuple[Row, ...]
+    initial_error: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +70,9 @@ class Overall:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All that tables and figures show."""
+    """All that tables and figures show, for one first error of beliefs (None: the world's own)."""
 
+    initial_error: str | None
     reference: str
     parts: tuple[Part, ...]
     summary: tuple[Summary, ...]
@@ -79,7 +82,8 @@ class Comparison:
 
 
 def compare(parts: Sequence[Part], reference: str, floors: Mapping[Cell, float], state_size: int) -> Comparison:
-    """Compare methods; `floors` gives the score of never seeing anything, and one of them is `omniscient`."""
+    """Compare methods, all with the same first error of beliefs; `floors` gives the score of never seeing anything,
+    and one of them is `omniscient`."""
     rows = [row for part in parts for row in part.rows]
     plain = summarise(rows, state_size)
     ceiling = [cell for cell in plain if cell.method == "omniscient"]
@@ -92,6 +96,7 @@ def compare(parts: Sequence[Part], reference: str, floors: Mapping[Cell, float],
     ]
     families = {part.method: part.family for part in parts}
     return Comparison(
+        initial_error=parts[0].initial_error,
         reference=reference,
         parts=tuple(parts),
         summary=tuple(summary),
@@ -159,16 +164,27 @@ def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[
     return found
 
 
-def as_json(comparison: Comparison, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """A comparison as an evaluation result: each row with its method's training seed, and what follows from them."""
+def as_json(comparisons: Sequence[Comparison], facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Comparisons as an evaluation result: each row with its method's training seed and, where the world's own is not
+    meant, the first error of its beliefs; and what follows from them."""
+
+    def listed(records: Callable[[Comparison], Iterable[dict[str, Any]]]) -> list[dict[str, Any]]:
+        return [
+            record if one.initial_error is None else {**record, "initial_error": one.initial_error}
+            for one in comparisons
+            for record in records(one)
+        ]
+
     return {
         **facts,
-        "reference": comparison.reference,
-        "rows": [
-            {**asdict(row), "training_seed": part.training_seed} for part in comparison.parts for row in part.rows
-        ],
-        "summary": [asdict(cell) for cell in comparison.summary],
-        "by_seed": [{"training_seed": one.training_seed, **asdict(one.cell)} for one in comparison.by_seed],
-        "differences": [asdict(one) for one in comparison.differences],
-        "overall": [asdict(one) for one in comparison.overall],
+        "reference": comparisons[0].reference,
+        "rows": listed(
+            lambda one: (
+                {**asdict(row), "training_seed": part.training_seed} for part in one.parts for row in part.rows
+            )
+        ),
+        "summary": listed(lambda one: map(asdict, one.summary)),
+        "by_seed": listed(lambda one: ({"training_seed": s.training_seed, **asdict(s.cell)} for s in one.by_seed)),
+        "differences": listed(lambda one: map(asdict, one.differences)),
+        "overall": listed(lambda one: map(asdict, one.overall)),
     }

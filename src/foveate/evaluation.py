@@ -1,31 +1,26 @@
 """How well a policy did, honestly: every method on the same scenes, the same noise, under both protocols."""
 
-import math
 import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
 
 from foveate.episodes import scene_episodes
-from foveate.models.belief import entropy
+from foveate.measures import measures
 from foveate.problem import Episode, Policy, Problem, Trace, Truth
 from foveate.rollout import PROTOCOLS, Protocol, observe, predict, rollout, start
 from foveate.scenario import SceneSettings
 from foveate.scenes import Scene
-from foveate.statistics import mean_interval
 
 CHUNK = 256
 """Episodes that run side by side: bounds memory, and every suite runs the same compiled program."""
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +30,9 @@ class Row:
     `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both null
     without targets. `seen_fraction`: targets really measured at least once; `seen_step_fraction`: measured targets
     among all targets of all steps; `longest_unseen_s`: the longest time any target went without a measurement.
-    `rmse_m` and `nees` (honest: the state's length) at the horizon, over the targets. `step_time_s`: one compiled
-    decision, alone, on this machine.
+    `rmse_m` and `nees` (honest: the state's length) at the horizon, over the targets; also over those alone that were
+    measured at least once, and those that never were, null where there are none. `step_time_s`: one compiled decision,
+    alone, on this machine.
     """
 
     scene: str
@@ -53,32 +49,11 @@ class Row:
     entropy: float | None
     rmse_m: float
     nees: float
+    rmse_seen_m: float | None
+    rmse_unseen_m: float | None
+    nees_seen: float | None
+    nees_unseen: float | None
     step_time_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Summary:
-    """One cell: a method, a protocol, a motion, a number of targets.
-
-    `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
-    is where 95 % of such means lie if the filter's covariance is right. `closeness`: how far the mean gets from the
-    floor, never seeing anything (0), to the omniscient planner's (1); null where that was not asked for.
-    """
-
-    method: str
-    protocol: str
-    motion: str
-    targets: int
-    mean: float
-    std: float
-    ci95: tuple[float, float]
-    seen_fraction: float
-    seen_step_fraction: float
-    rmse_m: float
-    nees: float
-    nees_band: tuple[float, float]
-    episodes: int
-    closeness: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +175,7 @@ def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: 
     rows = []
     for i, step_time in enumerate(step_times):
         scene = suite.scenes[i // suite.episodes_per_scene]
-        measures = _measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
+        found = measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
         rows.append(
             Row(
                 scene=scene.id,
@@ -211,85 +186,7 @@ def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: 
                 motion=scene.motion,
                 targets=len(scene.targets),
                 step_time_s=step_time,
-                **measures,
+                **found,
             )
         )
     return rows
-
-
-def _measures(problem: Problem, trace: Trace, truth: np.ndarray, scene: Scene) -> dict[str, Any]:
-    n, K, n_y = len(scene.targets), scene.horizon, problem.motion.state_size
-    if n == 0:
-        nothing = dict.fromkeys(("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0)
-        return {"score": None, "entropy": None, **nothing}
-    visible, log_det = np.asarray(trace.visible[:K, :n]), np.asarray(trace.log_det[K - 1, :n], float)
-    error = (trace.mean[K, :n] - truth[K, :n]).astype(float)
-    position_error = error @ np.asarray(problem.motion.Z, float).T
-    return {
-        "score": float(log_det.mean()),
-        "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))),
-        "seen_fraction": float(visible.any(axis=0).mean()),
-        "seen_step_fraction": float(visible.mean()),
-        "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max()),
-        "rmse_m": float(np.sqrt((position_error**2).sum(axis=1).mean())),
-        "nees": float(np.einsum("ni,nij,nj->n", error, trace.information[K, :n].astype(float), error).mean()),
-    }
-
-
-def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]) -> Float[np.ndarray, " n"]:
-    """The longest run of true values in each column; each row is as long as `lengths` says."""
-    longest = current = np.zeros(flags.shape[1])
-    for row, length in zip(flags, lengths, strict=True):
-        current = np.where(row, current + length, 0.0)
-        longest = np.maximum(longest, current)
-    return longest
-
-
-def chi_square_band(dof: int, count: int) -> tuple[float, float]:
-    """The interval that holds 95 % of means of `count` chi-square variables (Wilson and Hilferty 1931)."""
-    total = dof * count
-    spread = 2.0 / (9.0 * total)
-    low, high = (dof * max(0.0, 1.0 - spread + sign * Z95 * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))
-    return low, high
-
-
-def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
-    """One summary a cell, in the order in which cells first appear; scenes without targets are left out."""
-    cells: dict[tuple, list[Row]] = {}
-    for row in rows:
-        if row.score is not None:
-            cells.setdefault((row.method, row.protocol, row.motion, row.targets), []).append(row)
-    return [_summary(group, state_size) for group in cells.values()]
-
-
-def _summary(rows: Sequence[Row], state_size: int) -> Summary:
-    def mean(name: str) -> float:
-        return float(np.mean([getattr(row, name) for row in rows]))
-
-    scores = np.array([row.score for row in rows], float)
-    first = rows[0]
-    by_scene: dict[str, list[float]] = {}
-    for row, score in zip(rows, scores, strict=True):
-        by_scene.setdefault(row.scene, []).append(score)
-    # Episodes of one scene share its layout, so the scene is the unit that is independent.
-    means = np.array([np.mean(values) for values in by_scene.values()])
-    return Summary(
-        method=first.method,
-        protocol=first.protocol,
-        motion=first.motion,
-        targets=first.targets,
-        mean=float(scores.mean()),
-        std=float(scores.std(ddof=1)) if len(scores) > 1 else 0.0,
-        ci95=mean_interval(means),
-        seen_fraction=mean("seen_fraction"),
-        seen_step_fraction=mean("seen_step_fraction"),
-        rmse_m=mean("rmse_m"),
-        nees=mean("nees"),
-        nees_band=chi_square_band(state_size, first.targets * len({(row.scene, row.episode) for row in rows})),
-        episodes=len(rows),
-    )
-
-
-def result(rows: Sequence[Row], summary: Sequence[Summary], facts: dict[str, str]) -> dict[str, object]:
-    """The evaluation as JSON: rows, summary, and what they were made with."""
-    return {**facts, "rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}

@@ -176,6 +176,23 @@ def paper_methods(quick: bool = False) -> tuple[Method, ...]:
     )
 
 
+TRUE_VIEW = "true-view"
+"""The preset for the true field of view: what its suite is about."""
+CHANGED_WORLDS = ("omniscient", TRUE_VIEW, "uncertain", "nearest")
+"""Methods of the true view's suite that are run in changed worlds, too."""
+
+
+def true_view_methods(quick: bool = False) -> tuple[Method, ...]:
+    """All that is compared where a target counts only when it is really seen."""
+    icr, many = PUBLISHED, replace(ONLINE["true"], starts=16)
+    return (
+        Omniscient(),
+        *(Learned(name=name, training=_training(name, quick)) for name in ("paper", TRUE_VIEW)),
+        *(Planned(name=name, plans={"true": plan}) for name, plan in (("icr", icr), ("icr-16", many)) if not quick),
+        *(_by_hand(name) for name in HANDMADE),
+    )
+
+
 def reference(quick: bool = False) -> str:
     """What every method is compared with, and what is refined: fixed before any result is seen."""
     return "paper" if quick else "best"

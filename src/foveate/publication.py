@@ -9,57 +9,108 @@ from typing import Any
 import jax
 
 from foveate import __version__
+from foveate.animation import animate
 from foveate.closeness import floors
-from foveate.comparison import Comparison, Part, as_json, compare
+from foveate.comparison import Comparison, as_json, compare
 from foveate.configuration import digest
-from foveate.evaluation import prepare
+from foveate.evaluation import Row, prepare
 from foveate.figures_comparison import curve_of, duel_figure, learning_curves, pareto_figure
+from foveate.figures_robustness import robustness_figure
 from foveate.files import write_atomic, write_json
 from foveate.film import Film, films
-from foveate.methods import PROTOCOLS, Acting, Bench, can_train
-from foveate.report import markdown, tables
-from foveate.reproduction import Trained, trained_policy
+from foveate.methods import Acting, Bench, can_train
+from foveate.pages import markdown
+from foveate.report import tables
+from foveate.reproduction import Results, Trained, trained_policy
+from foveate.robustness import as_json as worlds_as_json
+from foveate.robustness import verdicts
 from foveate.settings import PPO
-from foveate.study import RowsUnit, Study, bench_of
+from foveate.study import Study, bench_of
+from foveate.units import RowsUnit
 
 TABLE, DATA = "table.md", "table.json"
+ROBUSTNESS = "robustness.png"
+EPISODES = "episodes"
+"""Folder of moving pictures."""
 RIVAL = "ppo"
 """Whom the reference meets in the pictures, if it is there; else the best method made by hand."""
 
 
-def publish(study: Study, out: Path, parts: Sequence[Part], trained: Sequence[Trained]) -> Comparison:
-    """Write all files into the folder `out`, and give what they show."""
-    bench = bench_of(study)
+def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
+    """Write all files into the folder `out`, and give what they show: a comparison for each first error."""
+    bench, trained = bench_of(study, study.initial_errors[0]), results.trained
     problem = bench.suite.problem
-    comparison = compare(parts, study.reference, floors(problem, bench.suite.scenes), problem.motion.state_size)
-    write_json(out / DATA, as_json(comparison, _facts(study, trained)))
+    lowest = floors(problem, bench.suite.scenes)
+    comparisons = []
+    for error in study.initial_errors:
+        parts = [part for part in results.parts if part.initial_error == error]
+        comparisons.append(compare(parts, study.reference, lowest, problem.motion.state_size))
+    write_json(out / DATA, as_json(comparisons, _facts(study, trained)))
     figures = {"pareto.png": "Score against the time of a decision"}
-    pareto_figure(comparison.overall, out / "pareto.png")
+    pareto_figure(comparisons[0].overall, out / "pareto.png")
     if trained:
         figures["learning.png"] = "Held-out score against environment steps and time: mean over seeds, worst to best"
         learning_curves(_curves(trained), out / "learning.png")
-    for protocol in PROTOCOLS:
-        if (rival := _rival(study, comparison, protocol)) is not None:
+    for protocol in study.protocols:
+        if (rival := _rival(study, comparisons[0], protocol)) is not None:
             file = f"trajectories-{protocol}.png"
             figures[file] = f"{study.reference} and {rival.name} in the same scenes, {protocol} protocol"
             duel_figure((study.reference, rival.name), _duels(study, bench, out, rival, protocol), out / file)
-    found = [table for protocol in PROTOCOLS for table in tables(comparison, protocol)]
+    if results.points:
+        figures[ROBUSTNESS] = "True score in worlds that differ from training by one factor"
+        _robustness(study, out, results)
+    if study.suite == "true-view" and not study.quick:
+        _episodes(study, bench, out, comparisons[0])
+    found = [table for one in comparisons for protocol in study.protocols for table in tables(one, protocol)]
     text = markdown(heading(study), _conditions(study, trained), found, figures)
     write_atomic(out / TABLE, text.encode())
-    return comparison
+    return comparisons
+
+
+def _robustness(study: Study, out: Path, results: Results) -> None:
+    found = {factor.name: verdicts(factor, results.points) for factor in study.factors}
+    robustness_figure(study.factors, found, out / ROBUSTNESS)
+    facts = {"protocol": study.protocols[0], "initial_error": study.initial_errors[0], "quick": study.quick}
+    write_json(out / "robustness.json", worlds_as_json(study.factors, results.points, facts))
+
+
+def _episodes(study: Study, bench: Bench, out: Path, comparison: Comparison) -> None:
+    """Moving pictures of the reference's best and worst scene in every cell, by its first training seed."""
+    method = next(one for one in study.methods if one.name == study.reference)
+    assert isinstance(method, Acting), "the reference of this suite is a policy"
+    part = next(part for part in comparison.parts if part.method == study.reference)
+    unit = RowsUnit(method=method, seed=part.training_seed, protocol=part.protocol)
+    trained = None if unit.training is None else trained_policy(out, unit.training)
+    cells: dict[tuple[str, int], list[Row]] = {}
+    for row in part.rows:
+        cells.setdefault((row.motion, row.targets), []).append(row)
+    chosen = {}
+    for (motion, targets), rows in cells.items():
+        ranked = sorted(rows, key=lambda row: row.score if row.score is not None else 0.0)
+        chosen |= {f"{targets}-{motion}-{word}": row.scene for word, row in (("easy", ranked[-1]), ("hard", ranked[0]))}
+    by_id = {scene.id: scene for scene in bench.suite.scenes}
+    scenes = [by_id[scene] for scene in chosen.values()]
+    suite = prepare(bench.suite.problem, bench.world.scenario.scenes, scenes, study.noise_seed)
+    (out / EPISODES).mkdir(exist_ok=True)
+    for name, shot in zip(
+        chosen, films(suite, method.policy(bench.world, trained), part.protocol, method.name), strict=True
+    ):
+        animate(shot, out / EPISODES / f"{name}.gif")
 
 
 def heading(study: Study) -> str:
     """What a study is, in a line; a quick one says so."""
     scenes = f"{study.scenes_per_cell} scenes a cell"
-    return f"QUICK LOOK, not a result: {scenes}, short trainings" if study.quick else f"The paper's table 1, {scenes}"
+    if study.quick:
+        return f"QUICK LOOK, not a result: {scenes}, short trainings"
+    return f"The true field of view, {scenes}" if study.suite == "true-view" else f"The paper's table 1, {scenes}"
 
 
 def _facts(study: Study, trained: Sequence[Trained]) -> dict[str, Any]:
     """What the data were made with."""
     return {
         "foveate": __version__,
-        "suite": "paper",
+        "suite": study.suite,
         "scenes": "table1",
         "quick": study.quick,
         "scene_seed": study.scene_seed,
@@ -78,7 +129,7 @@ def _facts(study: Study, trained: Sequence[Trained]) -> dict[str, Any]:
 def _conditions(study: Study, trained: Sequence[Trained]) -> dict[str, str]:
     """The same for readers."""
     stopped = [f"{one.name}-{one.seed}: {one.outcome.stopped}" for one in trained if one.outcome.stopped]
-    missing = [name for name in PPO if not can_train(name)]
+    missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]
     returns = [f"{one.name}-{one.seed} ({one.outcome.returns})" for one in trained if one.outcome.returns]
     return {
         "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
@@ -120,7 +171,7 @@ def _duels(study: Study, bench: Bench, out: Path, rival: Acting, protocol: str) 
         if scene.motion == "biased":
             first.setdefault(len(scene.targets), scene)
     scenes = list(first.values())
-    suite = prepare(bench.suite.problem, study.world.scenario.scenes, scenes, study.noise_seed)
+    suite = prepare(bench.suite.problem, bench.world.scenario.scenes, scenes, study.noise_seed)
     shown = []
     for method in (next(one for one in study.methods if one.name == study.reference), rival):
         assert isinstance(method, Acting)

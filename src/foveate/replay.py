@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.episodes import first_error
-from foveate.evaluation import decision_time, longest_run
+from foveate.evaluation import decision_time
+from foveate.measures import chi_square_band, longest_run, splits
 from foveate.motion_fit import fit_statistics, median_fix_interval_s
 from foveate.problem import Arrivals, Episode, Policy, Problem, Trace, Truth
 from foveate.recorded import Recording, Slots, resample_slots
@@ -27,9 +28,11 @@ class ReplayRow:
     """One method on one recording from one start.
 
     `targets` counts tracks that were there for a step at least; `log_det_mean` [nat], `rmse_m` and `nees` are over all
-    targets at all steps; `seen_fraction` is the share of tracks measured at least once, `seen_time_fraction` of all
-    target-steps with a measurement; `longest_unseen_s` the longest time that any track went without one; `lost` counts
-    tracks that were unseen at their end with an error above the depth of the view.
+    targets at all steps, and apart over those of tracks that were measured at least once and of those that never
+    were, null where there are none. `nees_band` holds at least 95 % of such means if the filter's covariance is right:
+    the steps of a track, which hang together, count as one. `seen_fraction` is the share of tracks measured at least
+    once, `seen_time_fraction` of all target-steps with a measurement; `longest_unseen_s` the longest time that any
+    track went without one; `lost` counts tracks unseen at their end with an error above the depth of the view.
     """
 
     method: str
@@ -42,6 +45,11 @@ class ReplayRow:
     longest_unseen_s: float
     rmse_m: float
     nees: float
+    nees_band: tuple[float, float]
+    rmse_seen_m: float | None
+    rmse_unseen_m: float | None
+    nees_seen: float | None
+    nees_unseen: float | None
     lost: int
     step_time_s: float
 
@@ -144,17 +152,21 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
     error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
     square = ((error @ np.asarray(ready.problem.motion.Z, float).T) ** 2).sum(axis=-1)
     nees = np.einsum("kni,knij,knj->kn", error, np.asarray(trace.information, float)[1:], error)
-    seen, lost, longest = 0, 0, 0.0
+    lost, longest, lengths = 0, 0.0, []
+    of_seen = np.zeros_like(counts)
     tracks = np.unique(index[1:][counts])
     for track in tracks:
         here = counts & (index[1:] == track)
+        lengths.append(here.sum())
         column = int(np.flatnonzero(here.any(axis=0))[0])
         steps = np.flatnonzero(here[:, column])
         looks = visible[steps, column]
-        seen += bool(looks.any())
+        of_seen |= here & looks.any()
         longest = max(longest, float(longest_run(~looks[:, None], np.full(len(looks), tau))[0]))
         lost += bool(not looks[-1] and np.sqrt(square[steps[-1], column]) > ready.depth_m)
-    total = max(1, int(counts.sum()))
+    total, seen = max(1, int(counts.sum())), len(np.unique(index[1:][of_seen]))
+    # A mean over tracks that weigh as long as they are varies as one over so many that weigh the same.
+    alike = total**2 / max(1, int(np.square(lengths).sum()))
     return ReplayRow(
         method=method,
         seed=ready.seed,
@@ -166,6 +178,8 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         longest_unseen_s=longest,
         rmse_m=float(np.sqrt(square[counts].sum() / total)),
         nees=float(nees[counts].sum() / total),
+        nees_band=chi_square_band(ready.truth.shape[-1], alike),
+        **splits(square[counts], nees[counts], of_seen[counts]),
         lost=lost,
         step_time_s=step_time,
     )

@@ -1,57 +1,62 @@
-"""A comparison as tables to read: in Markdown, and as lines for the terminal."""
+"""A comparison as tables to read."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from foveate.closeness import Cell
 from foveate.comparison import Comparison, Difference, Overall
-from foveate.evaluation import Summary
+from foveate.pages import Table
 from foveate.published import MODEL_BASED, MODEL_FREE
+from foveate.summary import Summary
 
 SIGNIFICANT = 0.05
 PROTOCOLS = {
     "surrogate": "The paper's score: information grows softly, also for targets near the view",
     "true": "The Kalman filter that really runs: information only from real measurements",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """Text in rows; the first two columns are words, the others numbers."""
-
-    title: str
-    note: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+FIRST_ERRORS = {"paper": "first errors as in the paper", "consistent": "consistent first errors"}
 
 
 def tables(comparison: Comparison, protocol: str) -> list[Table]:
     """What was found under one protocol: scores, differences, closeness, share seen, spread over training seeds."""
-    found = [scores(comparison, protocol), differences(comparison, protocol)]
-    summary = [cell for cell in comparison.summary if cell.protocol == protocol]
-    found.append(
-        _by_cell(
-            comparison,
-            protocol,
-            "closeness by cell",
-            "0: never sees anything; 1: the omniscient planner, which knows the future.",
-            {(cell.method, cell.motion, cell.targets): _fraction(cell.closeness) for cell in summary},
-        )
-    )
-    found.append(
-        _by_cell(
-            comparison,
-            protocol,
-            "share of targets seen by cell",
-            "Targets that were really measured at least once.",
-            {(cell.method, cell.motion, cell.targets): f"{cell.seen_fraction:.0%}" for cell in summary},
-        )
-    )
+    found = [scores(comparison, protocol), differences(comparison, protocol), honesty(comparison, protocol)]
+    found += [_by_cell(comparison, protocol, *by_cell) for by_cell in BY_CELL]
     if any(one.cell.protocol == protocol for one in comparison.by_seed):
         found.append(seeds(comparison, protocol))
     return found
+
+
+def honesty(comparison: Comparison, protocol: str) -> Table:
+    """One row a method, means over cells: what was seen, how large errors are, and whether the filter knows."""
+    rows = []
+    for one in _ranked(comparison, protocol):
+        cells = [c for c in comparison.summary if (c.method, c.protocol) == (one.method, protocol)]
+        names = ("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "nees_seen", "nees_unseen")
+        outside = sum(not cell.nees_band[0] <= cell.nees <= cell.nees_band[1] for cell in cells)
+        rows.append(
+            (
+                one.method,
+                one.family,
+                f"{one.seen_fraction:.0%}",
+                f"{np.mean([cell.seen_step_fraction for cell in cells]):.1%}",
+                f"{np.mean([cell.longest_unseen_s for cell in cells]):.1f}",
+                *(_mean([getattr(cell, name) for cell in cells]) for name in names),
+                f"{outside} of {len(cells)}",
+            )
+        )
+    return Table(
+        title=f"{_where(comparison, protocol)}: what was seen, and whether the filter knows its errors",
+        note="Means over cells. Seen: targets that were really measured at least once; of the time: measured targets "
+        "among all targets of all steps; longest: the longest time without a measurement of any target. RMSE and NEES "
+        "at the horizon, of all targets, of those seen and of those never seen; NEES is the state's length where the "
+        "filter is honest, more where it is too sure. Outside: cells whose NEES lies outside of its 95 % band.",
+        header=(
+            *("method", "kind", "seen", "of the time", "longest [s]"),
+            *("rmse [m]", "of the seen", "of the never seen", "NEES", "of the seen", "of the never seen", "outside"),
+        ),
+        rows=tuple(rows),
+    )
 
 
 def scores(comparison: Comparison, protocol: str) -> Table:
@@ -69,7 +74,7 @@ def scores(comparison: Comparison, protocol: str) -> Table:
             *rows,
         ]
     return Table(
-        title=f"{protocol}: score per target [nat]",
+        title=f"{_where(comparison, protocol)}: score per target [nat]",
         note=f"{PROTOCOLS[protocol]}. Mean over scenes (of trained methods: and over seeds) ± half of its 95 % "
         "interval, scenes taken as independent, for the policies of these training seeds (what other seeds would bring "
         "is in the table of seeds); in brackets, the paper's standard deviation over episodes.",
@@ -92,7 +97,7 @@ def differences(comparison: Comparison, protocol: str) -> Table:
         if one.method != comparison.reference
     ]
     return Table(
-        title=f"{protocol}: difference to {comparison.reference} in the same scenes [nat]",
+        title=f"{_where(comparison, protocol)}: difference to {comparison.reference} in the same scenes [nat]",
         note="Mean of the differences ± half of its 95 % interval (Student), scenes paired. * : p < 0.05 of Wilcoxon's "
         "signed-rank test after Holm's correction for the cells of a row; all p values are in table.json.",
         header=("method", "kind", *map(_label, cells)),
@@ -116,28 +121,11 @@ def seeds(comparison: Comparison, protocol: str) -> Table:
             spread = [*table.std(axis=0, ddof=1), table.mean(axis=1).std(ddof=1)]
             rows.append((method, "std over seeds", *(f"{value:.2f}" for value in spread)))
     return Table(
-        title=f"{protocol}: training seeds [nat]",
+        title=f"{_where(comparison, protocol)}: training seeds [nat]",
         note="Mean score of each trained policy over the scenes of a cell, and the standard deviation of these means.",
         header=("method", "policy", *map(_label, cells), "mean"),
         rows=tuple(rows),
     )
-
-
-def markdown(title: str, facts: Mapping[str, str], found: Sequence[Table], figures: Mapping[str, str]) -> str:
-    """The page of a comparison: what it was made with, its figures (file: what it shows), its tables."""
-    lines = [f"# {title}", ""]
-    lines += [f"- {name}: {value}" for name, value in facts.items()] + [""]
-    for file, what in figures.items():
-        lines += [f"![{what}]({file})", ""]
-    for table in found:
-        lines += [f"## {table.title}", "", table.note, "", _line(table.header)]
-        lines.append("|---|---|" + "---:|" * (len(table.header) - 2))
-        lines += [*map(_line, table.rows), ""]
-    return "\n".join(lines)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def _cells(comparison: Comparison) -> list[Cell]:
@@ -162,14 +150,10 @@ def _difference(one: Difference) -> str:
     return f"{one.mean:+.2f} ± {(one.ci95[1] - one.ci95[0]) / 2:.2f}{star}"
 
 
-def _fraction(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
-
-
 def _overall(one: Overall) -> tuple[str, ...]:
     milliseconds = 1e3 * one.step_time_s
     time = f"{milliseconds:.3f}" if milliseconds < 1 else f"{milliseconds:.1f}"
-    return f"{one.mean:.2f}", _fraction(one.closeness), f"{one.seen_fraction:.0%}", time
+    return f"{one.mean:.2f}", _number(one.closeness, 3), f"{one.seen_fraction:.0%}", time
 
 
 def _published(name: str, numbers: Mapping[Cell, tuple[float, float]], cells: Sequence[Cell]) -> list[tuple[str, ...]]:
@@ -181,12 +165,65 @@ def _published(name: str, numbers: Mapping[Cell, tuple[float, float]], cells: Se
     return [(name, "printed", *values, f"{mean:.2f}", "-", "-", "-")]
 
 
-def _by_cell(
-    comparison: Comparison, protocol: str, title: str, note: str, values: Mapping[tuple[str, str, int], str]
-) -> Table:
+def _mean(values: Sequence[float | None]) -> str:
+    found = [value for value in values if value is not None]
+    return f"{np.mean(found):.2f}" if found else "-"
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _nees(value: float | None, band: tuple[float, float] | None) -> str:
+    """NEES; with a star where it lies outside of its band."""
+    star = "*" if value is not None and band is not None and not band[0] <= value <= band[1] else ""
+    return f"{_number(value)}{star}"
+
+
+BY_CELL: tuple[tuple[str, str, Callable[[Summary], str]], ...] = (
+    (
+        "closeness by cell",
+        "0: never sees anything; 1: the omniscient planner, which knows the future.",
+        lambda cell: _number(cell.closeness, 3),
+    ),
+    (
+        "share of targets seen by cell",
+        "Targets that were really measured at least once.",
+        lambda cell: f"{cell.seen_fraction:.0%}",
+    ),
+    (
+        "share of the time seen, and the longest time unseen, by cell",
+        "Measured targets among all targets of all steps; the longest time [s] without a measurement of any target.",
+        lambda cell: f"{cell.seen_step_fraction:.1%}, {cell.longest_unseen_s:.1f} s",
+    ),
+    (
+        "RMSE by cell [m]",
+        "At the horizon: of all targets; of those seen at least once; of those never seen.",
+        lambda cell: " / ".join(map(_number, (cell.rmse_m, cell.rmse_seen_m, cell.rmse_unseen_m))),
+    ),
+    (
+        "NEES by cell",
+        "At the horizon: of all targets (95 % band of a filter that is right); of those seen; of those never seen. "
+        "* : outside of its own band.",
+        lambda cell: (
+            f"{_nees(cell.nees, cell.nees_band)} ({cell.nees_band[0]:.2f} to {cell.nees_band[1]:.2f}) / "
+            f"{_nees(cell.nees_seen, cell.nees_seen_band)} / {_nees(cell.nees_unseen, cell.nees_unseen_band)}"
+        ),
+    ),
+)
+"""Title, note and cells of the tables that have one number, or a few, for every method and cell."""
+
+
+def _where(comparison: Comparison, protocol: str) -> str:
+    """What a table is of: the protocol and, where it is not the world's own, the first error of beliefs."""
+    return protocol if comparison.initial_error is None else f"{protocol}, {FIRST_ERRORS[comparison.initial_error]}"
+
+
+def _by_cell(comparison: Comparison, protocol: str, title: str, note: str, shown: Callable[[Summary], str]) -> Table:
     cells = _cells(comparison)
+    values = {(c.method, c.motion, c.targets): shown(c) for c in comparison.summary if c.protocol == protocol}
     return Table(
-        title=f"{protocol}: {title}",
+        title=f"{_where(comparison, protocol)}: {title}",
         note=note,
         header=("method", "kind", *map(_label, cells)),
         rows=tuple(

@@ -7,8 +7,8 @@ that its result depends on, and is written whole when the unit is done.
 import hashlib
 import math
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,8 +20,10 @@ from foveate.learning.judging import Check, Outcome
 from foveate.learning.learner import train
 from foveate.methods import Bench
 from foveate.problem import Policy
+from foveate.robustness import Point, points
 from foveate.settings import Experiment, PPOSettings
-from foveate.study import RowsUnit, Study, TrainingUnit, bench_of, key, units
+from foveate.study import Study, bench_of, key, units, worlds_of
+from foveate.units import RowsUnit, TrainingUnit, WorldsUnit
 
 UNITS, TRAININGS = "units", "trainings"
 T = TypeVar("T")
@@ -42,32 +44,48 @@ class Trained:
     outcome: Outcome
 
 
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """What the units of a study gave: rows on the suite, trainings, scores in changed worlds."""
+
+    parts: list[Part]
+    trained: list[Trained]
+    points: list[Point]
+
+
 def reproduce(
     study: Study,
     out: Path,
     report: Callable[[int, str], None] = lambda done, what: None,
     say: Say = lambda line: None,
-) -> tuple[list[Part], list[Trained]]:
+) -> Results:
     """Do what is not done yet, and give all results.
 
     `report` is called with the number of units that are done and what is being done now.
     """
-    bench = bench_of(study)
+    benches = {error: bench_of(study, error) for error in study.initial_errors}
+    worlds = {factor.name: worlds_of(study, factor) for factor in study.factors}
     (out / UNITS).mkdir(parents=True, exist_ok=True)
-    parts, trained = [], []
+    found = Results(parts=[], trained=[], points=[])
     for done, unit in enumerate(units(study)):
         path = out / UNITS / unit.file
-        wanted = key(study, unit, bench.suite.scenes)
 
         def note(what: str, done: int = done, name: str = unit.what) -> None:
             report(done, f"{name}: {what}")
 
         note("beginning")
         if isinstance(unit, TrainingUnit):
-            trained.append(_training(unit, out / TRAININGS / unit.name, path, wanted, note, say))
+            wanted = key(study, unit, ())
+            found.trained.append(_training(unit, out / TRAININGS / unit.name, path, wanted, note, say))
+        elif isinstance(unit, RowsUnit):
+            bench = benches[unit.initial_error]
+            wanted = _with_weights(key(study, unit, (bench,)), unit, out)
+            found.parts.append(_rows(unit, bench, out, path, wanted, note, say))
         else:
-            parts.append(_rows(unit, bench, out, path, wanted, note, say))
-    return parts, trained
+            here = worlds[unit.factor.name]
+            wanted = _with_weights(key(study, unit, list(here.values())), unit, out)
+            found.points.extend(_points(unit, here, out, path, wanted, note, say))
+    return found
 
 
 def _kept(path: Path, wanted: str, say: Say, read: Callable[[Any], T]) -> T | None:
@@ -130,11 +148,16 @@ def _is_begun(run: Path, mark: Path, wanted: str, experiment: Experiment) -> boo
     return can_resume and there and mark.read_text() == wanted
 
 
+def _with_weights(wanted: str, unit: RowsUnit | WorldsUnit, out: Path) -> str:
+    """The key of a unit; what a trained policy does is of the very weights that lie there."""
+    if unit.training is None:
+        return wanted
+    weights = (out / TRAININGS / unit.training.name / BEST).read_bytes()
+    return f"{wanted}-{hashlib.sha256(weights).hexdigest()[:16]}"
+
+
 def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, note: Say, say: Say) -> Part:
-    """The rows of a unit, made now or kept; those of a trained policy are of the very weights that lie there."""
-    if unit.training is not None:
-        weights = (out / TRAININGS / unit.training.name / BEST).read_bytes()
-        wanted = f"{wanted}-{hashlib.sha256(weights).hexdigest()[:16]}"
+    """The rows of a unit, made now or kept."""
     rows = _kept(path, wanted, say, lambda result: [Row(**row) for row in result])
     if rows is None:
         total = len(bench.suite.scenes)
@@ -144,8 +167,34 @@ def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, note
         write_json(path, {"key": wanted, "result": [asdict(row) for row in rows]})
     method = unit.method
     return Part(
-        method=method.name, family=method.family, training_seed=unit.seed, protocol=unit.protocol, rows=tuple(rows)
+        method=method.name,
+        family=method.family,
+        training_seed=unit.seed,
+        protocol=unit.protocol,
+        rows=tuple(rows),
+        initial_error=unit.initial_error,
     )
+
+
+def _points(
+    unit: WorldsUnit, worlds: Mapping[float, Bench], out: Path, path: Path, wanted: str, note: Say, say: Say
+) -> list[Point]:
+    """The points of a unit, made now or kept."""
+    found = _kept(path, wanted, say, lambda result: [_point(one) for one in result])
+    if found is None:
+        policy = None if unit.training is None else trained_policy(out, unit.training)
+
+        def report(done: int) -> None:
+            note(f"{done} of {len(worlds)} worlds")
+
+        found = points(worlds, unit.factor, unit.method, unit.seed, policy, unit.protocol, report)
+        write_json(path, {"key": wanted, "result": [asdict(point) for point in found]})
+    return found
+
+
+def _point(fields: dict[str, Any]) -> Point:
+    """A point as it was before it was written: JSON knows lists only."""
+    return replace(Point(**fields), scores=tuple(fields["scores"]), seen=tuple(fields["seen"]))
 
 
 def _check(unit: RowsUnit, bench: Bench, rows: Sequence[Row]) -> None:

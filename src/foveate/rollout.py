@@ -4,6 +4,7 @@ One step k: predict p_{k+1}, P_{k+1}; decide u_k on them at T_k; move to T_{k+1}
 measure; update to mu_{k+1}, Y_{k+1}.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from foveate.linalg import cholesky_spd, log_det_spd, multiply
 from foveate.models import belief
+from foveate.models.absence import given_unseen
 from foveate.models.belief import Belief
 from foveate.models.sensor import PAPER_SOFTNESS, Softness, detection_weight
 from foveate.problem import Episode, Observation, Policy, Problem, Trace, first_information
@@ -24,7 +26,8 @@ class Protocol(NamedTuple):
 
     With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
     the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
-    training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter.
+    training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter; if the
+    sensor's `uses_absence` says so, it learns from looking in vain, too.
     """
 
     levels: tuple[Softness, ...]
@@ -173,6 +176,11 @@ def act(
         weight = visible.astype(mean.dtype)[None]
     update = jax.vmap(jax.vmap(belief.update_information), (0, None, 0))
     information = update(predicted.information, gain, weight)
+    if sensor.uses_absence and not protocol.levels and instant.reality is not None:
+        is_inside = partial(_in_view, problem, pose)
+        left = jax.vmap(lambda m, Y: given_unseen(Belief(m, Y), motion.Z, is_inside))(mean, information[0])
+        mean = jnp.where(visible[:, None], mean, left.mean)
+        information = jnp.where(visible[:, None, None], information, left.information)
 
     present = predicted.present
     if (arrival := instant.arrival) is not None:
@@ -181,6 +189,10 @@ def act(
         information = jnp.where(begins[:, None, None], problem.prior_information, information)
         present = arrival.present
     return State(predicted.step + 1, pose, mean, information, present), visible, weight
+
+
+def _in_view(problem: Problem, pose: Pose, positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
+    return problem.sensor.view.contains(problem.agent.space.to_body(pose, positions_world))
 
 
 def _damped(tree: PyTree, share: float) -> PyTree:

@@ -26,7 +26,8 @@ class SensorSettings:
 
     `std_m` is the noise of a position measurement [m]; `V` overrides it with a full covariance, `H` the measured
     part of the state. `frame` says in which frame V is given; its standard deviation grows with the range by
-    the factor 1 + range_growth_per_m r.
+    the factor 1 + range_growth_per_m r. With `absence = "used"` the Kalman filter that really runs also learns from not
+    seeing a target where it looked; left out, only from measurements.
     """
 
     std_m: float = 0.2
@@ -34,6 +35,7 @@ class SensorSettings:
     H: Matrix | None = None
     frame: Literal["world", "body"] = "world"
     range_growth_per_m: float = 0.0
+    absence: Literal["used"] | None = None
 
     def __post_init__(self) -> None:
         positive(self, "std_m")
@@ -202,6 +204,7 @@ class Scenario:
             view=self.view.view(),
             range_growth=self.sensor.range_growth_per_m,
             frame=self.sensor.frame,
+            uses_absence=self.sensor.absence == "used",
         )
         return Problem(
             agent=self.agent.agent(),

@@ -3,22 +3,37 @@
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 from foveate import __version__
 from foveate.configuration import digest
 from foveate.episodes import SUITE_SEED, table1
 from foveate.evaluation import prepare
-from foveate.methods import PROTOCOLS, Bench, Method, Training, paper_methods, reference
+from foveate.methods import (
+    CHANGED_WORLDS,
+    PROTOCOLS,
+    TRUE_VIEW,
+    Bench,
+    Method,
+    Training,
+    paper_methods,
+    reference,
+    true_view_methods,
+)
+from foveate.robustness import FACTORS, Factor, changed_bench
 from foveate.scenes import Scene
 from foveate.settings import PRESETS, Experiment
+from foveate.units import InitialError, RowsUnit, TrainingUnit, Unit, WorldsUnit
 
 VERSION = 1
 """Of the files of units; raised, too, when methods of ours do otherwise than before."""
 QUICK_SCENES = 3
 QUICK_TARGETS = (3, 5)
 """As many sizes as cores compile side by side: compilation is most of a quick look."""
+QUICK_FACTORS = ("V", "depth")
+"""Two that need no further program."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,11 +41,19 @@ class Study:
     """What is to be found out: which methods, on which scenes, trained with which seeds.
 
     `scenes_per_cell`: the first so many scenes of every cell; `targets`: of cells with so many targets (None: all).
-    `noise_seed` draws the chance in the scenes.
+    `noise_seed` draws the chance in the scenes. All is done under each of `protocols` and for each of `initial_errors`
+    of beliefs (None: the world's own). Besides, the methods that are named in `changed` are run in worlds that differ
+    by one of `factors`, under the first protocol, on so many scenes as `scenes_per_world`.
     """
 
     methods: tuple[Method, ...]
     reference: str
+    suite: Literal["paper", "true-view"] = "paper"
+    protocols: tuple[str, ...] = PROTOCOLS
+    initial_errors: tuple[InitialError | None, ...] = (None,)
+    factors: tuple[Factor, ...] = ()
+    changed: tuple[str, ...] = ()
+    scenes_per_world: int = 30
     seeds: tuple[int, ...] = (0, 10, 100)
     scene_seed: int = SUITE_SEED
     scenes_per_cell: int = 30
@@ -56,63 +79,6 @@ class Study:
             raise ValueError(f"seeds = {self.seeds}: expected at least one, and each once")
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainingUnit:
-    """One policy to train."""
-
-    training: Training
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Of its run folder."""
-        return f"{self.training.name}-{self.seed}"
-
-    @property
-    def file(self) -> str:
-        """Where its result is kept."""
-        return f"training-{self.name}.json"
-
-    @property
-    def what(self) -> str:
-        """What is being done."""
-        return f"training {self.name}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RowsUnit:
-    """One method to run on all scenes under one protocol; `seed` is that of its training, if it has one."""
-
-    method: Method
-    seed: int | None
-    protocol: str
-
-    @property
-    def training(self) -> TrainingUnit | None:
-        """What has to be done before."""
-        if self.method.training is None or self.seed is None:
-            return None
-        return TrainingUnit(training=self.method.training, seed=self.seed)
-
-    @property
-    def name(self) -> str:
-        """Of the method, as one trained with this seed."""
-        return self.method.name if self.seed is None else f"{self.method.name}-{self.seed}"
-
-    @property
-    def file(self) -> str:
-        """Where its result is kept."""
-        return f"rows-{self.name}-{self.protocol}.json"
-
-    @property
-    def what(self) -> str:
-        """What is being done."""
-        return f"{self.name}, {self.protocol}"
-
-
-Unit = TrainingUnit | RowsUnit
-
-
 def paper_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
     """The paper's suite, with further `methods`; the quick one has one seed, short trainings and few scenes."""
     if quick:
@@ -121,47 +87,93 @@ def paper_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes
     return Study(methods=every, reference=reference(quick), quick=quick, **changes)
 
 
+def true_view_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
+    """What methods are worth in the true field of view, with both first errors, and in worlds that differ."""
+    if quick:
+        changes = {"seeds": (0,), "scenes_per_cell": QUICK_SCENES, "targets": QUICK_TARGETS, **changes}
+        some = [factor for factor in FACTORS if factor.name in QUICK_FACTORS]
+        changes |= {"factors": tuple(some), "changed": CHANGED_WORLDS[1:], "scenes_per_world": QUICK_SCENES}
+    else:
+        changes |= {"factors": FACTORS, "changed": CHANGED_WORLDS}
+    return Study(
+        methods=(*true_view_methods(quick), *methods),
+        reference=TRUE_VIEW,
+        suite="true-view",
+        protocols=("true",),
+        initial_errors=("paper", "consistent"),
+        quick=quick,
+        **changes,
+    )
+
+
 def units(study: Study) -> list[Unit]:
     """All work in the order in which it is done: a training comes before the first rows that need it."""
     work: dict[str, Unit] = {}
-    for method in study.methods:
-        for seed in (None,) if method.training is None else study.seeds:
-            for protocol in PROTOCOLS:
-                unit = RowsUnit(method=method, seed=seed, protocol=protocol)
-                if unit.training is not None:
-                    work.setdefault(unit.training.file, unit.training)
-                if unit.file in work:
-                    raise ValueError(f"method {method.name}: its file {unit.file} is another method's: rename it")
-                work[unit.file] = unit
+    for unit in _units(study):
+        if unit.training is not None:
+            work.setdefault(unit.training.file, unit.training)
+        if unit.file in work:
+            raise ValueError(f"method {unit.method.name}: its file {unit.file} is another method's: rename it")
+        work[unit.file] = unit
     return list(work.values())
 
 
-def bench_of(study: Study) -> Bench:
+def _units(study: Study) -> Iterator[RowsUnit | WorldsUnit]:
+    """All but trainings: on the suite, then in changed worlds."""
+    runs = [(method, seed) for method in study.methods for seed in ((None,) if not method.training else study.seeds)]
+    for method, seed in runs:
+        for error in study.initial_errors:
+            for protocol in study.protocols:
+                yield RowsUnit(method=method, seed=seed, protocol=protocol, initial_error=error)
+    for factor in study.factors:
+        for method, seed in runs:
+            if method.name in study.changed:
+                yield WorldsUnit(method=method, seed=seed, protocol=study.protocols[0], factor=factor)
+
+
+def world_of(study: Study, initial_error: InitialError | None) -> Experiment:
+    """The world of a study with this first error of beliefs."""
+    if initial_error is None:
+        return study.world
+    scenario = study.world.scenario
+    scenes = replace(scenario.scenes, initial_error=initial_error)
+    return replace(study.world, scenario=replace(scenario, scenes=scenes))
+
+
+def worlds_of(study: Study, factor: Factor) -> dict[float, Bench]:
+    """The worlds that a factor makes of a study's, by its values."""
+    world = world_of(study, study.initial_errors[0])
+    seeds = (study.scene_seed, study.noise_seed)
+    return {value: changed_bench(world, factor, value, study.scenes_per_world, *seeds) for value in factor.values}
+
+
+def bench_of(study: Study, initial_error: InitialError | None = None) -> Bench:
     """The world and the scenes of a study, with their chance."""
-    problem = study.world.scenario.problem()
+    world = world_of(study, initial_error)
+    problem = world.scenario.problem()
     kept: dict[tuple[str, int], list[Scene]] = {}
     for scene in table1(problem, study.scene_seed):
         if study.targets is None or len(scene.targets) in study.targets:
             kept.setdefault((scene.motion, len(scene.targets)), []).append(scene)
     scenes = [scene for cell in kept.values() for scene in cell[: study.scenes_per_cell]]
-    suite = prepare(problem, study.world.scenario.scenes, scenes, study.noise_seed)
-    return Bench(world=study.world, suite=suite)
+    suite = prepare(problem, world.scenario.scenes, scenes, study.noise_seed)
+    return Bench(world=world, suite=suite)
 
 
-def key(study: Study, unit: Unit, scenes: tuple[Scene, ...]) -> str:
-    """A digest of all that a unit's result depends on, code of the same version aside."""
+def key(study: Study, unit: Unit, benches: Sequence[Bench]) -> str:
+    """A digest of all that a unit's result depends on, code of the same version aside; `benches`: where it is run."""
     words: dict[str, Any] = {"foveate": __version__, "version": VERSION}
     if isinstance(unit, TrainingUnit):
         words |= {"experiment": digest(unit.training.experiment), "seed": unit.seed}
     else:
         method = unit.method
         words |= {
-            "world": digest(study.world),
-            "scenes": [asdict(scene) for scene in scenes],
+            "worlds": [digest(bench.world) for bench in benches],
+            "scenes": [asdict(scene) for bench in benches for scene in bench.suite.scenes],
             "noise_seed": study.noise_seed,
             "method": [type(method).__name__, method.name, method.revision, method.settings(unit.protocol)],
             "protocol": unit.protocol,
         }
         if unit.training is not None:
-            words["training"] = key(study, unit.training, scenes)
+            words["training"] = key(study, unit.training, benches)
     return hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()

@@ -37,7 +37,8 @@ class Tracker:
     A detection is refused where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
     chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 refuses one honest detection in
     ten thousand. One that is not finite is refused too. `refused` counts them by id. A target that has really jumped is
-    refused until it is dropped, and then begins anew. `gate` None takes whatever comes.
+    refused until it is dropped, and then begins anew. `gate` None takes whatever comes. Beliefs learn from detections
+    only, whatever the scenario's `sensor.absence` says.
     """
 
     def __init__(self, problem: Problem, *, forget_after_s: float = 10.0, gate: float | None = 0.9999) -> None:

@@ -70,6 +70,39 @@ def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFi
     check_contract("evaluate", out / "table.json")
 
 
+def test_reproduce_for_the_true_view(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both first errors, the true protocol alone, a world that differs; the contract holds."""
+    ceiling, learned = study.paper_methods(True)
+    uncertain = Fixed(name="uncertain", make=lambda world: handmade("uncertain", world.scenario.problem(), 2.0))
+    methods = (ceiling, replace(learned, name=study.TRUE_VIEW), uncertain)
+    monkeypatch.setattr(study, "true_view_methods", lambda quick: methods)
+    monkeypatch.setattr(study, "FACTORS", tuple(replace(one, values=one.values[1:3]) for one in study.FACTORS))
+    monkeypatch.setattr(study, "QUICK_FACTORS", ("V",))
+    out = tmp_path / "out"
+    assert main(["reproduce", "--suite", "true-view", "--quick", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "first errors as in the paper" in printed
+    assert "consistent first errors" in printed
+    data = json.loads((out / "table.json").read_text())
+    assert (data["suite"], data["reference"]) == ("true-view", study.TRUE_VIEW)
+    for part, count in (("rows", 3 * 4 * 2), ("summary", 3 * 2 * 2), ("overall", 3 * 2)):
+        assert len(data[part]) == count
+        assert {one["initial_error"] for one in data[part]} == {"paper", "consistent"}
+        assert {one["protocol"] for one in data[part]} == {"true"}
+    still = [[r["rmse_m"] for r in data["rows"] if r["initial_error"] == error] for error in ("paper", "consistent")]
+    assert sum(still[0]) < sum(still[1]), "a first error of 0.2 m is less than one of 1.4 m"
+    worlds = json.loads((out / "robustness.json").read_text())
+    (factor,) = worlds["factors"]
+    assert {(one["method"], one["value"]) for one in factor["verdicts"]} == {
+        (name, value) for name in (study.TRUE_VIEW, "uncertain") for value in (0.1, 0.2)
+    }
+    assert (out / "robustness.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list((out / "units").glob("*.json"))) == 1 + 3 * 2 + 2
+    check_contract("evaluate", out / "table.json")
+
+
 def _check_data(data: dict) -> None:
     """The rules of the contract, and the story of the rows."""
     assert data["quick"] is True

@@ -117,11 +117,11 @@ def same_arrays(one, other):
 def test_a_training_that_explodes_from_the_start(monkeypatch, tmp_path):
     """For real, from weights so large that products overflow: there is no best yet, and nothing may crash."""
 
-    def begin_badly(policy, settings):
+    def begin_badly(problem, policy, settings, key):
         made = begin(policy, settings)
         return eqx.tree_at(lambda m: m.policy, made, jax.tree.map(lambda x: 1e200 * x, policy))
 
-    monkeypatch.setattr(training, "begin", begin_badly)
+    monkeypatch.setattr(training, "_begin", begin_badly)
     checks = []
     outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
     assert "not finite" in outcome.stopped
@@ -159,13 +159,13 @@ def weight(of):
 
 
 def test_next_keeps_a_better_policy():
-    after, event, stop = training._next(progress(below=3), learner(0.3, 30), 1.5, 0.1, True)
+    after, event, stop = training._next(progress(below=3), learner(0.3, 30), 1.5, 0.1, True, TINY.training)
     assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.3, 0.3, 1.5)
     assert (int(after.best_epoch), int(after.below), event, stop) == (30, 0, "", "")
 
 
 def test_next_goes_on_from_a_worse_policy():
-    after, event, stop = training._next(progress(), learner(0.3, 30), 0.9, 0.1, True)
+    after, event, stop = training._next(progress(), learner(0.3, 30), 0.9, 0.1, True, TINY.training)
     assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.3, 0.1, 1.0)
     assert (int(after.best_epoch), int(after.below), event, stop) == (10, 0, "", "")
 
@@ -173,7 +173,7 @@ def test_next_goes_on_from_a_worse_policy():
 def test_next_returns_to_the_best_from_the_limits():
     """All commands at their limits: no gradient leads back; even a score that is better is not trusted."""
     for score in (-1.0, 2.0):
-        after, event, stop = training._next(progress(), learner(9.0, 30), score, 0.95, True)
+        after, event, stop = training._next(progress(), learner(9.0, 30), score, 0.95, True, TINY.training)
         assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
         assert int(after.learner.epoch) == 30, "the way back is walked on other scenes"
         assert (int(after.best_epoch), int(after.returns), stop) == (10, 1, "")
@@ -184,27 +184,29 @@ def test_next_returns_to_the_best_from_the_limits():
 def test_next_returns_after_many_checks_far_below_the_best():
     now, events = progress(best=3.0), []
     for k in range(COLLAPSED_CHECKS):
-        now, event, stop = training._next(now, learner(0.5, 30 + k), 1.9, 0.0, True)
+        now, event, stop = training._next(now, learner(0.5, 30 + k), 1.9, 0.0, True, TINY.training)
         events.append(bool(event))
         assert stop == ""
     assert events == [False] * (COLLAPSED_CHECKS - 1) + [True]
     assert weight(now.learner) == 0.1
     assert (int(now.below), int(now.returns)) == (0, 1)
     now = progress(best=3.0, below=COLLAPSED_CHECKS - 1)
-    after, event, _ = training._next(now, learner(0.5, 30), 2.1, 0.0, True)
+    after, event, _ = training._next(now, learner(0.5, 30), 2.1, 0.0, True, TINY.training)
     assert (int(after.below), event) == (0, ""), "one check that is not far below ends the row"
 
 
 def test_next_gives_up_after_some_returns_and_before_anything_was_learned_goes_on():
-    _, event, stop = training._next(progress(returns=RETURNS), learner(9.0, 30), 0.0, 1.0, True)
+    _, event, stop = training._next(progress(returns=RETURNS), learner(9.0, 30), 0.0, 1.0, True, TINY.training)
     assert event
     assert "collapsed" in stop
-    after, event, stop = training._next(progress(best=-math.inf, best_epoch=0), learner(9.0, 30), 0.0, 1.0, True)
+    after, event, stop = training._next(
+        progress(best=-math.inf, best_epoch=0), learner(9.0, 30), 0.0, 1.0, True, TINY.training
+    )
     assert (weight(after.learner), event, stop) == (9.0, "", "")
 
 
 def test_next_stops_where_a_number_is_not_finite():
-    after, event, stop = training._next(progress(), learner(math.nan, 30), 5.0, 0.0, False)
+    after, event, stop = training._next(progress(), learner(math.nan, 30), 5.0, 0.0, False, TINY.training)
     assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
     assert event == "not finite"
     assert "epoch 30" in stop
@@ -228,7 +230,7 @@ def stubbed(monkeypatch, script):
     """`train` with learning and judging replaced by a list of (weight, score, share at a limit, finite)."""
     steps = iter(script)
 
-    def epochs(problem, scenes, settings, count, learner_, key):
+    def epochs(advance, count, learner_, key):
         keys["training"] = key
         moved, *rest = next(steps)
         after = eqx.tree_at(

@@ -3,14 +3,15 @@
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from foveate.evaluation import Summary
     from foveate.problem import Policy
     from foveate.scenes import Scene
     from foveate.settings import Experiment
+    from foveate.summary import Summary
 
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
 """The trained policy, and the hand-made ones (`policies.handmade.METHODS`; repeated here to keep help fast)."""
@@ -58,6 +59,17 @@ def experiment_of(run: str) -> "Experiment":
     if run in PRESETS:
         return PRESETS[run]
     raise ValueError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESETS)}")
+
+
+def with_initial_error(
+    experiment: "Experiment", initial_error: 'Literal["paper", "consistent"] | None'
+) -> "Experiment":
+    """The experiment with this first error of beliefs; with its own where None is given."""
+    if initial_error is None:
+        return experiment
+    scenario = experiment.scenario
+    scenes = replace(scenario.scenes, initial_error=initial_error)
+    return replace(experiment, scenario=replace(scenario, scenes=scenes))
 
 
 def policy_of(run: str, method: str, experiment: "Experiment", box_world: Any = None) -> "Policy":
@@ -124,7 +136,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
 
     table = Table(title=escape(title), title_justify="left", header_style="bold")
     for i, name in enumerate(header):
-        table.add_column(name, justify="left" if i < 2 else "right", no_wrap=True)
+        table.add_column(escape(name), justify="left" if i < 2 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     # Not a terminal: no colours, and as wide as the table needs.
@@ -134,11 +146,11 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
 
 def print_summary(title: str, episodes: int, summary: "Sequence[Summary]") -> None:
     """The table of an evaluation."""
-    header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "rmse [m]")
+    header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "of the time")
     close = ("closeness",) * any(cell.closeness is not None for cell in summary)
     print_table(
         f"{title}: score per target [nat], {episodes} episode(s) a scene",
-        (*header, "nees (band)", *close),
+        (*header, "longest not [s]", "rmse [m]", "nees (band)", "seen, never seen", *close),
         [
             (
                 cell.method,
@@ -149,8 +161,11 @@ def print_summary(title: str, episodes: int, summary: "Sequence[Summary]") -> No
                 f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
                 f"{cell.std:.2f}",
                 f"{cell.seen_fraction:.0%}",
+                f"{cell.seen_step_fraction:.0%}",
+                f"{cell.longest_unseen_s:.1f}",
                 f"{cell.rmse_m:.2f}",
                 f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
+                ", ".join("-" if nees is None else f"{nees:.1f}" for nees in (cell.nees_seen, cell.nees_unseen)),
                 *("-" if cell.closeness is None else f"{cell.closeness:.3f}" for _ in close),
             )
             for cell in summary

@@ -66,8 +66,8 @@ class Plan:
         """Plan, print the summary, write the file."""
         from foveate.cli.common import Bar, check_output, check_seed, print_summary, scenes_of
         from foveate.configuration import digest
-        from foveate.evaluation import result, summarise
         from foveate.files import write_json
+        from foveate.summary import result, summarise
 
         check_output(self.json, *([self.scenes] if self.scenes else []))
         check_seed(self.seed)

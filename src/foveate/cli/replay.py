@@ -115,13 +115,16 @@ class Replay:
             "log_det_mean",
             "rmse_m",
             "nees",
+            "nees_seen",
+            "nees_unseen",
             "lost",
         )
         lines = []
         for method in methods:
             mine = [row for row in rows if row.method == method]
-            means = [float(np.mean([getattr(row, name) for row in mine])) for name in names]
-            shown = [f"{means[0]:.1%}", f"{means[1]:.0%}", *(f"{mean:.2f}" for mean in means[2:])]
+            found = [[value for row in mine if (value := getattr(row, name)) is not None] for name in names]
+            texts = ["-" if not values else f"{np.mean(values):.2f}" for values in found[2:]]
+            shown = [f"{np.mean(found[0]):.1%}", f"{np.mean(found[1]):.0%}", *texts]
             lines.append((method, f"{mine[0].targets} tracks", *shown))
         header = (
             "method",
@@ -132,6 +135,8 @@ class Replay:
             "log det",
             "rmse [m]",
             "nees",
+            "of the seen",
+            "of the never seen",
             "lost",
         )
         print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)

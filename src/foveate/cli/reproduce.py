@@ -17,22 +17,26 @@ WIDE = 175
 
 @dataclass(kw_only=True)
 class Reproduce:
-    """Make the paper's comparison anew: every learner, every method, the same scenes; tables and figures.
+    """Make a comparison anew: every learner, every method, the same scenes; tables and figures.
 
-    Learners with three seeds, planners, a policy refined by a planner, policies made by hand, and the omniscient
-    planner as the yardstick, each under both protocols. Into --out: table.md, table.json (every episode, the summary
-    with closeness, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one run
-    folder a training. Ctrl-C is safe: the same command goes on where it stopped, and a call with other settings makes
-    anew only what depends on them.
+    The paper's: learners with three seeds, planners, a policy refined by a planner, policies made by hand, and the
+    omniscient planner as the yardstick, each under both protocols. Into --out: table.md, table.json (every episode, the
+    summary with closeness, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one
+    run folder a training. Ctrl-C is safe: the same command goes on where it stopped, and a call with other settings
+    makes anew only what depends on them.
 
       foveate reproduce --quick                        # minutes: short training, few scenes; a look, not a result
       foveate reproduce                                # the whole of it: an hour or so on 2 cores
+      foveate reproduce --suite true-view              # where only what is really seen counts
       foveate reproduce --scene-seed 7 --out runs/reproduce-7     # the same on scenes that nobody has seen
       foveate reproduce --add examples/own_method.py:METHOD       # with a method of your own beside the others
     """
 
-    suite: Literal["paper"] = "paper"
-    """What to reproduce: the paper's table 1, with its figures."""
+    suite: Literal["paper", "true-view"] = "paper"
+    """paper: the paper's table 1, with its figures. true-view: the same scenes where a target counts only when it is
+    really seen, with first errors of beliefs as in the paper and as the beliefs claim (consistent); is the filter
+    honest; scores in worlds that differ from training (robustness.png, robustness.json); moving pictures of easy and
+    hard scenes (episodes/)."""
     quick: bool = False
     """One seed, a short training, 3 scenes a cell of 3 and 5 targets, fewer planners; marked in all that is written."""
     seeds: tuple[int, ...] | None = None
@@ -42,7 +46,7 @@ class Reproduce:
     add: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE.py:NAME ..")] = ()
     """Methods of your own: records of foveate.methods, or tuples of them, in Python files. Runs these files."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for all that is written (default: runs/reproduce; quick: runs/reproduce-quick)."""
+    """Folder for all that is written (default: runs/reproduce; -true-view and -quick behind it as asked for)."""
 
     def run_command(self) -> int:
         """Do what is not done yet, write the files, print the tables."""
@@ -55,32 +59,34 @@ class Reproduce:
         from foveate.study import units
 
         study = self._study()
-        out = self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")
+        suffix = f"{'-true-view' * (self.suite == 'true-view')}{'-quick' * self.quick}"
+        out = self.out or Path("runs") / f"reproduce{suffix}"
         if out.exists() and not out.is_dir():
             raise ValueError(f"{out}: is no folder: choose another place")
         total = len(units(study))
         with Bar(f"reproducing {self.suite}", total, "units") as bar:
             try:
-                parts, trained = reproduce(study, out, bar.update, bar.say)
+                results = reproduce(study, out, bar.update, bar.say)
                 bar.update(total, "tables and figures")
-                comparison = publish(study, out, parts, trained)
+                comparisons = publish(study, out, results)
             except KeyboardInterrupt:
                 bar.say(f"interrupted: what is done is kept in {out}; the same command goes on from there")
                 raise
-        _print(study, comparison)
+        _print(study, comparisons)
         print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
         return 0
 
     def _study(self) -> "Study":
         from foveate.cli.common import check_seed
-        from foveate.study import paper_study
+        from foveate.study import paper_study, true_view_study
 
         for seed in self.seeds or ():
             check_seed(seed, "--seeds")
         check_seed(self.scene_seed, "--scene-seed")
         changes = {} if self.seeds is None else {"seeds": self.seeds}
         own = tuple(method for place in self.add for method in _own(place))
-        return paper_study(self.quick, own, scene_seed=self.scene_seed, **changes)
+        make = true_view_study if self.suite == "true-view" else paper_study
+        return make(self.quick, own, scene_seed=self.scene_seed, **changes)
 
 
 def _own(place: str) -> "list[Method]":
@@ -116,13 +122,13 @@ def _slim(cell: str) -> str:
     return cell if wide else cell.partition(" ±")[0].partition(" [")[0]
 
 
-def _print(study: "Study", comparison: "Comparison") -> None:
+def _print(study: "Study", comparisons: "list[Comparison]") -> None:
     from foveate.cli.common import print_table
     from foveate.publication import heading
-    from foveate.report import differences, scores
+    from foveate.report import differences, honesty, scores
 
     print(heading(study))
-    for protocol in ("surrogate", "true"):
-        for table in (scores(comparison, protocol), differences(comparison, protocol)):
-            print_table(table.title, table.header, [[_slim(cell) for cell in row] for row in table.rows])
-            print(table.note)
+    kinds = (scores, honesty) if study.suite == "true-view" else (scores, differences)
+    for table in (kind(one, protocol) for one in comparisons for protocol in study.protocols for kind in kinds):
+        print_table(table.title, table.header, [[_slim(cell) for cell in row] for row in table.rows])
+        print(table.note)

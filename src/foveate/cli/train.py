@@ -22,7 +22,7 @@ class Train:
     same machine.
     """
 
-    preset: Literal["paper", "best", "quadrotor"] = "paper"
+    preset: Literal["paper", "best", "true-view", "quadrotor"] = "paper"
     """paper: the paper's budget (about 20 s on 2 cores). best: another network, lessons and a damped gradient, higher
     scores by far where targets have to be really seen (1 to 2 minutes). quadrotor: a flying camera over
     constant-velocity targets in space, some minutes."""

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.learner_settings import TrainingSettings
 from foveate.problem import Episode, Policy, Problem
 from foveate.rollout import act, instants, observe, predict, start
-from foveate.settings import TrainingSettings
 from foveate.types import Key
 
 

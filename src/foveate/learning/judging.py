@@ -68,8 +68,7 @@ def judge(
 ) -> tuple[jax.Array, jax.Array]:
     """Mean held-out score, of what training is after, and the share of commands at a limit."""
     training = experiment.training
-    objective = "terminal" if isinstance(training, PPOSettings) else training.objective
-    protocol = PROTOCOLS[training.select]
+    objective, protocol = training.objective, PROTOCOLS[training.select]
     keys = jax.random.split(key, training.held_out)
     trace: Trace = jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
     values = trace.visible.astype(float) if objective == "seen" else trace.log_det

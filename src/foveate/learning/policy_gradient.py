@@ -4,6 +4,7 @@ Reverse mode through one scan, so the cost does not grow with the number of para
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,10 +13,10 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from foveate.episodes import training_episode
+from foveate.learner_settings import TrainingSettings
 from foveate.problem import Episode, Policy, Problem, per_target
 from foveate.rollout import log_dets, weights
 from foveate.scenario import SceneSettings
-from foveate.settings import TrainingSettings
 from foveate.types import Count, Key, Scalar
 
 
@@ -25,6 +26,8 @@ class Learner(eqx.Module):
     policy: Policy
     optimizer: optax.OptState
     epoch: Count
+    critic: Any = None
+    """What only learning needs beside the policy: nothing here, a network of its own for who learns by trying."""
 
 
 class Report(eqx.Module):
@@ -49,12 +52,17 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
     return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int))
 
 
-def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
-    """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
+def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:
+    """The mean over targets of what each is worth after every step."""
     arrivals = episode.arrivals
     # A target that has just come could not be measured yet.
     present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
-    score = per_target(values, jnp.broadcast_to(present, values.shape))
+    return per_target(values, jnp.broadcast_to(present, values.shape))
+
+
+def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
+    """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
+    score = step_scores(values, episode)
     if terminal:
         return score[episode.horizon - 1]
     return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
@@ -96,15 +104,11 @@ def epoch(
     return Learner(policy, state, learner.epoch + 1), report
 
 
-def epochs(
-    problem: Problem,
-    scenes: SceneSettings,
-    settings: TrainingSettings,
-    count: Count,
-    learner: Learner,
-    key: Key,
-    worth: Worth = objective,
-) -> tuple[Learner, Report]:
+Advance = Callable[[Learner, Key], tuple[Learner, Report]]
+"""One epoch of a learner."""
+
+
+def epochs(advance: Advance, count: Count, learner: Learner, key: Key) -> tuple[Learner, Report]:
     """`count` epochs in one compiled loop: the mean of what is ascended, the largest norm, and whether all were finite.
 
     An epoch that is not finite changes nothing: the learner stays as it was before it.
@@ -113,7 +117,7 @@ def epochs(
 
     def step(_, carry):
         arrays, total = carry
-        after, now = epoch(problem, scenes, settings, eqx.combine(arrays, static), key, worth)
+        after, now = advance(eqx.combine(arrays, static), key)
         kept = jax.tree.map(lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays)
         sums = Report(
             total.objective + now.objective,

@@ -16,12 +16,17 @@ from foveate.arrays import load_arrays
 from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree
 from foveate.configuration import load_toml
 from foveate.files import write_atomic
+from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
+from foveate.learning import actor_critic, policy_gradient
 from foveate.learning.imitation import likeness
 from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
-from foveate.learning.policy_gradient import Learner, Worth, begin, epochs
+from foveate.learning.policy_gradient import Advance, Learner, epoch, epochs, objective
 from foveate.policies.handmade import handmade
-from foveate.settings import Experiment, TrainingSettings
+from foveate.problem import Policy, Problem
+from foveate.settings import Experiment
+from foveate.types import Key
 
+Learning = TrainingSettings | ActorCriticSettings
 COLLAPSED_SHARE = 0.9
 COLLAPSED_SCORE = 1.0
 COLLAPSED_SEEN = 0.5
@@ -56,12 +61,12 @@ def train(
     was interrupted and resumed. Raises ValueError where `out` already holds a run (or, resumed, another one).
     """
     problem, training = experiment.scenario.problem(), experiment.training
-    if not isinstance(training, TrainingSettings):
-        raise ValueError(f"training.algorithm = {training.algorithm!r}: expected the policy gradient, which has none")
+    if isinstance(training, PPOSettings):
+        raise ValueError(f"training.algorithm = {training.algorithm!r}: expected one that learns here")
+    keys = jax.random.split(jax.random.key(seed), 4)
+    learner = _begin(problem, experiment.policy.policy(problem, keys[0]), training, keys[0])
     if not resume:
         claim(out, experiment)
-    keys = jax.random.split(jax.random.key(seed), 4)
-    learner = begin(experiment.policy.policy(problem, keys[0]), training)
     zero = jnp.zeros((), int)
     progress = Progress(learner, learner, jnp.array(-jnp.inf), zero, zero, zero)
     episodes = held_out_episodes(experiment, problem, keys[1])
@@ -70,23 +75,18 @@ def train(
         progress, elapsed = _resumed(out, experiment, seed, progress)
     else:
         save_tree(out / LAST, progress, experiment, "training", {"seed": seed, "epoch": 0, "elapsed_s": 0.0})
-    # Keys and scenes are arguments, not constants, so that all seeds share one compiled program.
-    scenes = experiment.scenario.scenes
-    advance = eqx.filter_jit(lambda count, learner, key: epochs(problem, scenes, training, count, learner, key))
-    teach = eqx.filter_jit(
-        lambda count, learner, key: epochs(problem, scenes, training, count, learner, key, _lesson(experiment))
-    )
+    parts = _parts(experiment, problem)
     assess = eqx.filter_jit(lambda policy, episodes, key: judge(experiment, problem, policy, episodes, key))
     began, stopped = time.perf_counter() - elapsed, ""
     with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
         while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
-            is_lesson = done < training.lesson_epochs
-            count = min(training.check_every, (training.lesson_epochs if is_lesson else training.epochs) - done)
+            end, advance = next(part for part in parts if done < part[0])
+            count = min(training.check_every, end - done)
             started = time.perf_counter()
-            learner, numbers = (teach if is_lesson else advance)(jnp.array(count), progress.learner, keys[2])
+            learner, numbers = advance(jnp.array(count), progress.learner, keys[2])
             score, at_limit = (float(x) for x in assess(learner.policy, episodes, keys[3]))
             finite = bool(numbers.finite) and jnp.isfinite(score)
-            progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite), training.objective)
+            progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite), training)
             now = time.perf_counter()
             check = Check(
                 epoch=int(learner.epoch),
@@ -98,7 +98,7 @@ def train(
                 epochs_per_s=count / (now - started),
                 elapsed_s=now - began,
                 event=event,
-                env_steps=round(int(learner.epoch) * training.episodes * scenes.mean_horizon),
+                env_steps=round(int(learner.epoch) * training.episodes * experiment.scenario.scenes.mean_horizon),
             )
             _keep(out, experiment, seed, progress, check, events)
             report(check, training.epochs)
@@ -111,12 +111,42 @@ def train(
     )
 
 
-def _lesson(experiment: Experiment) -> Worth:
-    """What is ascended in lessons: likeness to the teacher."""
-    scenario, settings = experiment.scenario, experiment.training
-    assert isinstance(settings, TrainingSettings), "PPO has no lessons"
-    teacher = handmade(settings.teacher, scenario.problem(), float(scenario.view.depth_m))
-    return lambda problem, policy, episode, settings, key: likeness(problem, policy, teacher, episode, settings, key)
+def _begin(problem: Problem, policy: Policy, training: Learning, key: Key) -> Learner:
+    """The learner before its first epoch."""
+    if isinstance(training, ActorCriticSettings):
+        return actor_critic.begin(problem, policy, training, jax.random.fold_in(key, 1))
+    return policy_gradient.begin(policy, training)
+
+
+def _parts(experiment: Experiment, problem: Problem) -> list[tuple[int, Callable]]:
+    """What is done until which epoch: compiled functions of (count, learner, key).
+
+    Keys and scenes are arguments, not constants, so that all seeds share one compiled program.
+    """
+    scenes, training = experiment.scenario.scenes, experiment.training
+    if isinstance(training, ActorCriticSettings):
+
+        def try_out(learner, key):
+            return actor_critic.epoch(problem, scenes, training, learner, key)
+
+        return [(training.epochs, _compiled(try_out))]
+    assert isinstance(training, TrainingSettings), "of two settings with epochs this is the other"
+    teacher = handmade(training.teacher, problem, float(experiment.scenario.view.depth_m))
+
+    def likeness_to_teacher(problem, policy, episode, settings, key):
+        return likeness(problem, policy, teacher, episode, settings, key)
+
+    def learn(learner, key):
+        return epoch(problem, scenes, training, learner, key, likeness_to_teacher)
+
+    def ascend(learner, key):
+        return epoch(problem, scenes, training, learner, key, objective)
+
+    return [(training.lesson_epochs, _compiled(learn)), (training.epochs, _compiled(ascend))]
+
+
+def _compiled(advance: Advance) -> Callable:
+    return eqx.filter_jit(lambda count, learner, key: epochs(advance, count, learner, key))
 
 
 def _is_low(score: float, best: float, objective: str) -> bool:
@@ -125,7 +155,7 @@ def _is_low(score: float, best: float, objective: str) -> bool:
 
 
 def _next(
-    progress: Progress, learner: Learner, score: float, at_limit: float, finite: bool, objective: str = "terminal"
+    progress: Progress, learner: Learner, score: float, at_limit: float, finite: bool, training: Learning
 ) -> tuple[Progress, str, str]:
     """What follows from one check: the progress to go on with, what happened, and why to stop (empty: go on)."""
     if not finite:
@@ -142,7 +172,7 @@ def _next(
         zero = jnp.zeros((), int)
         best = (learner, learner, jnp.array(score), learner.epoch, zero)
         return Progress(*best, progress.returns), "", ""
-    below = int(progress.below) + 1 if _is_low(score, float(progress.best_score), objective) else 0
+    below = int(progress.below) + 1 if _is_low(score, float(progress.best_score), training.objective) else 0
     if not at_limits and below < COLLAPSED_CHECKS:
         held = (progress.best, progress.best_score, progress.best_epoch, jnp.array(below), progress.returns)
         return Progress(learner, *held), "", ""
@@ -154,7 +184,8 @@ def _next(
             f"epoch {int(learner.epoch)}: collapsed ({why}) once more after {RETURNS} returns to the best",
         )
     # The epoch goes on counting, so that the way back is walked on other scenes and the learning rate stays low.
-    count = optax.tree.set(progress.best.optimizer, count=learner.epoch.astype(jnp.int32))
+    done = (learner.epoch * training.updates).astype(jnp.int32)
+    count = optax.tree.set(progress.best.optimizer, count=done)
     back = eqx.tree_at(lambda best: (best.optimizer, best.epoch), progress.best, (count, learner.epoch))
     held = (progress.best, progress.best_score, progress.best_epoch, jnp.zeros((), int), progress.returns + 1)
     return Progress(back, *held), f"collapse ({why}): back to epoch {int(progress.best_epoch)}", ""
@@ -163,7 +194,7 @@ def _next(
 def stored_run(run: Path) -> tuple[Experiment, int]:
     """The experiment and the seed that a run folder was trained with, to go on with it."""
     experiment = load_toml(Experiment, run / CONFIG)
-    if not isinstance(experiment.training, TrainingSettings):
+    if isinstance(experiment.training, PPOSettings):
         raise ValueError(f"{run}: was trained by PPO, which does not go on where it stopped: train anew")
     header, _ = load_arrays(run / LAST, "training", VERSION)
     return experiment, int(header["facts"]["seed"])

@@ -7,11 +7,20 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.space import Space
 from foveate.linalg import multiply, vech
-from foveate.problem import Observation
+from foveate.problem import Observation, Problem
 from foveate.types import Scalar
 
 Frame = Literal["body", "world"]
 Scale = Literal["plain", "asinh"]
+LEAST_RANGE_M = 0.1
+"""Below this the direction of a target fades out: at the agent itself it has none."""
+HORIZON_STEPS = 10.0
+"""Steps left are told in this unit, and no further ahead than MOST_UNITS of it."""
+MOST_UNITS = 3.0
+LAST_STEPS = 3.0
+"""Over so many steps the end comes into sight, as exp(-left / LAST_STEPS)."""
+USUAL_TARGETS = 5.0
+"""The number of targets is told in this unit."""
 
 
 def policy_inputs(
@@ -45,6 +54,42 @@ def _features(
 ) -> Float[Array, "n features"]:
     packed = vech(information)
     return jnp.concatenate([mean / length_m, jnp.arcsinh(packed) if scale == "asinh" else packed], axis=-1)
+
+
+def rich_inputs(observation: Observation, space: Space, length_m: float) -> Float[Array, "n numbers"]:
+    """Numbers about each target: as the paper's network has them in the body frame, then more that follows from them.
+
+    Directions, logarithms of ranges, information matrices as asinh, the steps that are left, how many targets there
+    are, and the input that drives each: sizes that say less and directions that say more than plain coordinates.
+    """
+    d, n = space.dimension, len(observation.present)
+    _, usual = policy_inputs(observation, space, "body", length_m, "asinh")
+    position_body = usual[:, :d] * length_m
+    distance = jnp.sqrt(jnp.sum(position_body**2, axis=-1, keepdims=True) + LEAST_RANGE_M**2)
+    # Padding goes on after the end of an episode.
+    left = jnp.maximum(observation.left, 0).astype(usual.dtype)
+    common = jnp.stack(
+        [
+            jnp.minimum(left / HORIZON_STEPS, MOST_UNITS),
+            jnp.exp(-left / LAST_STEPS),
+            jnp.sum(observation.present) / USUAL_TARGETS,
+        ]
+    )
+    parts = [usual, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]
+    if observation.known_input.shape[-1] == d:  # a vector of the world: how far the target is pushed in this step
+        parts.append(multiply(observation.known_input, space.rotation(observation.pose)))
+    return jnp.concatenate(parts, axis=-1)
+
+
+def rich_numbers(problem: Problem, kind: str) -> int:
+    """How many `rich_inputs` tells of a target. Raises ValueError where a state does not begin with the position."""
+    d, n_y = problem.agent.space.dimension, problem.motion.state_size
+    if not problem.motion.begins_with_position:
+        raise ValueError(
+            f"kind = {kind!r}: expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
+        )
+    told = d if problem.motion.input_size == d else 0
+    return n_y + n_y * (n_y + 1) // 2 + (d + 1) + told + 3
 
 
 class Told(NamedTuple):

@@ -10,8 +10,10 @@ from jaxtyping import Array, Bool, Float
 
 from foveate.types import Key
 
+Layers = tuple[eqx.nn.Linear, ...]
 
-def fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[tuple[eqx.nn.Linear, ...]]:
+
+def fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[Layers]:
     """Chains of layers, weights and biases uniform within 1 / sqrt(inputs), cut from one draw.
 
     A draw of its own for each of a dozen arrays would cost a second of compilation each.

@@ -10,24 +10,12 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from foveate.geometry.space import Space
-from foveate.linalg import multiply
-from foveate.policies.inputs import policy_inputs
+from foveate.policies.inputs import rich_inputs, rich_numbers
 from foveate.policies.layers import fresh_layers, masked_softmax
 from foveate.problem import Observation, Policy, Problem
 from foveate.types import Action, Key
-
-LEAST_RANGE_M = 0.1
-"""Below this the direction of a target fades out: at the agent itself it has none."""
-HORIZON_STEPS = 10.0
-"""Steps left are told in this unit, and no further ahead than MOST_UNITS of it."""
-MOST_UNITS = 3.0
-LAST_STEPS = 3.0
-"""Over so many steps the end comes into sight, as exp(-left / LAST_STEPS)."""
-USUAL_TARGETS = 5.0
-"""The number of targets is told in this unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,13 +43,7 @@ class PoolingSettings:
 
     def policy(self, problem: Problem, key: Key) -> "PoolingPolicy":
         """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
-        d, n_y = problem.agent.space.dimension, problem.motion.state_size
-        if not problem.motion.begins_with_position:
-            raise ValueError(
-                f"kind = 'pooling': expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
-            )
-        told = d if problem.motion.input_size == d else 0
-        numbers = n_y + n_y * (n_y + 1) // 2 + (d + 1) + told + 3
+        numbers = rich_numbers(problem, self.kind)
         embedding = self.target_widths[-1]
         widths = (
             (numbers, *self.target_widths),
@@ -84,7 +66,7 @@ class PoolingPolicy(Policy):
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic."""
         del key
-        targets = self.inputs(observation)
+        targets = rich_inputs(observation, self.space, self.length_m)
         for layer in self.target_layers:
             targets = jax.nn.relu(jax.vmap(layer)(targets))
         (query,) = self.query_layers
@@ -94,23 +76,3 @@ class PoolingPolicy(Policy):
         for layer in self.out_layers[:-1]:
             hidden = jax.nn.relu(layer(hidden))
         return jnp.tanh(self.out_layers[-1](hidden)), memory
-
-    def inputs(self, observation: Observation) -> Float[Array, "n numbers"]:
-        """What it is told of each target: as the paper's network in the body frame, then more that follows from it."""
-        d, n = self.space.dimension, len(observation.present)
-        _, usual = policy_inputs(observation, self.space, "body", self.length_m, "asinh")
-        position_body = usual[:, :d] * self.length_m
-        distance = jnp.sqrt(jnp.sum(position_body**2, axis=-1, keepdims=True) + LEAST_RANGE_M**2)
-        # Padding goes on after the end of an episode.
-        left = jnp.maximum(observation.left, 0).astype(usual.dtype)
-        common = jnp.stack(
-            [
-                jnp.minimum(left / HORIZON_STEPS, MOST_UNITS),
-                jnp.exp(-left / LAST_STEPS),
-                jnp.sum(observation.present) / USUAL_TARGETS,
-            ]
-        )
-        parts = [usual, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]
-        if observation.known_input.shape[-1] == d:  # a vector of the world: how far the target is pushed in this step
-            parts.append(multiply(observation.known_input, self.space.rotation(observation.pose)))
-        return jnp.concatenate(parts, axis=-1)

@@ -1,0 +1,176 @@
+"""The actor-critic against textbook formulas and a world of known value; it learns, and goes on where it stopped."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from foveate.checkpoint import BEST, load_run
+from foveate.episodes import training_episode
+from foveate.learner_settings import ActorCriticSettings
+from foveate.learning import actor_critic
+from foveate.learning.actor_critic import Batch, advantages, entropy, log_density, loss, tries
+from foveate.learning.judging import held_out_episodes, judge
+from foveate.learning.training import train
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.pointer import Modes, PointerSettings
+from foveate.rollout import PROTOCOLS, rollout
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import Experiment
+
+NETWORK = PointerSettings(
+    kind="pointer", target_widths=(16, 16), heads=2, context_widths=(16,), mode_widths=(16,), modes=1
+)
+TINY = Experiment(
+    scenario=Scenario(
+        scenes=SceneSettings(targets_min=1, targets_max=2, steps=5, half_side_per_target_m=1.5, drift_m_s=(0.1, 0.1))
+    ),
+    policy=NETWORK,
+    training=ActorCriticSettings(
+        algorithm="actor-critic", epochs=40, episodes=64, minibatches=2, held_out=64, check_every=10, learning_rate=3e-3
+    ),
+)
+
+
+def settings() -> ActorCriticSettings:
+    assert isinstance(TINY.training, ActorCriticSettings)
+    return TINY.training
+
+
+def test_density_is_that_of_a_mixture_of_gaussians():
+    rng = np.random.default_rng(0)
+    weight, means, spread = rng.normal(size=4), rng.uniform(-1, 1, (4, 2)), 0.3
+    modes = Modes(jnp.asarray(weight), jnp.asarray(means))
+    share = np.exp(weight) / np.exp(weight).sum()
+    for action in rng.normal(size=(5, 2)):
+        density = sum(
+            p * multivariate_normal(m, spread**2 * np.eye(2)).pdf(action) for p, m in zip(share, means, strict=True)
+        )
+        expected = np.log(density * 2 * np.pi * spread**2)
+        np.testing.assert_allclose(log_density(modes, jnp.asarray(action), jnp.asarray(spread)), expected, rtol=1e-10)
+    np.testing.assert_allclose(entropy(modes), -np.sum(share * np.log(share)), rtol=1e-12)
+
+
+def test_modes_of_padding_change_neither_density_nor_entropy_nor_their_slopes():
+    few = Modes(jnp.array([0.3, -0.2]), jnp.array([[0.1, 0.4], [-0.6, 0.2]]))
+    padded = Modes(jnp.array([0.3, -1e9, -0.2]), jnp.array([[0.1, 0.4], [0.9, 0.9], [-0.6, 0.2]]))
+
+    def worth(modes):
+        return log_density(modes, jnp.array([0.2, 0.3]), jnp.asarray(0.4)) + entropy(modes)
+
+    np.testing.assert_allclose(worth(padded), worth(few), rtol=1e-12)
+    slope, expected = jax.grad(worth)(padded), jax.grad(worth)(few)
+    np.testing.assert_allclose(slope.log_weight[jnp.array([0, 2])], expected.log_weight, rtol=1e-12)
+    np.testing.assert_allclose(slope.action[jnp.array([0, 2])], expected.action, rtol=1e-12)
+    assert slope.log_weight[1] == 0
+    assert np.all(slope.action[1] == 0)
+
+
+@pytest.mark.parametrize("gae_lambda", [0.0, 0.7, 1.0])
+def test_advantages_are_sums_of_temporal_differences(gae_lambda):
+    """Schulman 2016, equation 16, with no discount, written as the double sum; nothing after the horizon."""
+    rng, horizon = np.random.default_rng(1), 4
+    reward, value = rng.normal(size=7), rng.normal(size=7)
+    counts = np.arange(7) < horizon
+    after = np.append(value[1:horizon], 0.0)
+    delta = reward[:horizon] + after - value[:horizon]
+    expected = [sum(gae_lambda ** (k - i) * delta[k] for k in range(i, horizon)) for i in range(horizon)]
+    found = advantages(jnp.asarray(reward), jnp.asarray(value), jnp.asarray(counts), gae_lambda)
+    np.testing.assert_allclose(found[:horizon], expected, rtol=1e-10)
+    np.testing.assert_array_equal(found[horizon:], 0)
+
+
+@pytest.mark.parametrize("protocol", ["surrogate", "true"])
+def test_what_is_earned_is_what_the_rollout_scores(protocol):
+    """With hardly any noise a try is the rollout of the policy, when all modes but one are out of reach."""
+    problem, scenes = TINY.scenario.problem(), TINY.scenario.scenes
+    policy = NETWORK.policy(problem, jax.random.key(4))
+    policy = eqx.tree_at(lambda p: p.idle_layers[0].bias, policy, policy.idle_layers[0].bias.at[0].set(1e3))
+
+    @eqx.filter_jit
+    def both(key, objective):
+        episode = training_episode(problem, scenes, key, noise=True)
+        tried = tries(problem, policy, episode, PROTOCOLS[protocol], objective, jnp.asarray(1e-9), key)
+        return episode, tried, rollout(problem, policy, episode, PROTOCOLS[protocol], key)
+
+    for seed in range(3):
+        for objective in ("terminal", "mean", "seen"):
+            episode, tried, trace = both(jax.random.key(seed), objective)
+            n, K = int(np.sum(episode.present)), int(episode.horizon)
+            log_det = np.asarray(trace.log_det)[:K, :n].mean(axis=1)
+            prior = np.linalg.slogdet(np.asarray(problem.prior_information))[1]
+            expected = {
+                "terminal": log_det[-1] - prior,
+                "mean": log_det.mean(),
+                "seen": np.asarray(trace.visible)[:K, :n].mean(),
+            }
+            np.testing.assert_allclose(np.sum(tried.reward), expected[objective], atol=1e-6)
+            np.testing.assert_allclose(tried.action[:K], trace.action[:K], atol=1e-6)
+
+
+def test_loss_is_ppo_s_clipped_one():
+    problem = TINY.scenario.problem()
+    learner = actor_critic.begin(problem, NETWORK.policy(problem, jax.random.key(0)), settings(), jax.random.key(1))
+    episode = training_episode(problem, TINY.scenario.scenes, jax.random.key(2), noise=True)
+    spread, rng = jnp.asarray(0.3), np.random.default_rng(3)
+    policy, critic = learner.policy, learner.critic
+    tried = eqx.filter_jit(tries)(problem, policy, episode, PROTOCOLS["true"], "terminal", spread, jax.random.key(5))
+    rows = len(tried.reward)
+    old = np.asarray(tried.log_density) + rng.normal(0, 0.4, rows)  # as if the policy had moved on since
+    advantage, earned, counts = rng.normal(size=rows), rng.normal(size=rows), np.arange(rows) % 3 > 0
+    batch = Batch(tried.observation, tried.action, *map(jnp.asarray, (old, advantage, earned, counts)))
+    value, modes = jax.vmap(critic)(tried.observation), jax.vmap(policy.modes)(tried.observation)
+    total = 0.0
+    for i in np.flatnonzero(counts):
+        ratio = np.exp(float(tried.log_density[i]) - old[i])
+        gain = min(ratio * advantage[i], float(np.clip(ratio, 0.8, 1.2)) * advantage[i])
+        choice = float(entropy(jax.tree.map(lambda x, i=i: x[i], modes)))
+        total += (float(value[i]) - earned[i]) ** 2 - gain - settings().entropy_weight * choice
+    np.testing.assert_allclose(loss(policy, critic, batch, spread, settings()), total / counts.sum(), rtol=1e-9)
+
+
+class Interrupted(Exception):
+    pass
+
+
+def stop_at_20(check, total):
+    del total
+    if check.epoch == 20:
+        raise Interrupted
+
+
+def test_learns_and_resumed_is_undisturbed(tmp_path):
+    checks = []
+    outcome = train(TINY, tmp_path / "a", seed=3, report=lambda check, total: checks.append(check))
+    assert outcome.epochs == 40
+    assert checks[-1].held_out > checks[0].held_out + 0.3, "a tiny problem must be learned"
+    assert abs(checks[-1].objective - checks[-1].held_out) < 1.5, "both are scores"
+    experiment, policy, _ = load_run(tmp_path / "a")
+    problem, keys = TINY.scenario.problem(), jax.random.split(jax.random.key(3), 4)
+    score, _ = judge(TINY, problem, policy, held_out_episodes(TINY, problem, keys[1]), keys[3])
+    assert experiment == TINY
+    np.testing.assert_allclose(float(score), outcome.best_score, rtol=1e-5)
+    with pytest.raises(Interrupted):
+        train(TINY, tmp_path / "b", seed=3, report=stop_at_20)
+    assert train(TINY, tmp_path / "b", seed=3, resume=True) == outcome
+    assert (tmp_path / "b" / BEST).read_bytes() == (tmp_path / "a" / BEST).read_bytes()
+
+
+def test_wrong_settings(tmp_path):
+    for change, message in (
+        ({"protocols": ()}, "at least one"),
+        ({"protocols": ("true", "true")}, "each once"),
+        ({"protocols": ("true", "surrogate"), "episodes": 7}, "multiple"),
+        ({"spread": (0.3, 0.0)}, "spread"),
+        ({"gae_lambda": 1.5}, "gae_lambda"),
+        ({"minibatches": 0}, "minibatches"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(settings(), **change)
+    with pytest.raises(ValueError, match=r"expected policy\.kind = 'pointer'"):
+        train(replace(TINY, policy=AttentionSettings()), tmp_path / "c")
+    assert not (tmp_path / "c").exists(), "nothing is written for what cannot be trained"

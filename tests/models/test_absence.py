@@ -1,0 +1,85 @@
+"""Beliefs of targets that were looked for in vain: scipy's truncated normal, rejection sampling, an honest NEES."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import kstest, truncnorm
+
+from foveate.evaluation import prepare, simulate
+from foveate.measures import chi_square_band
+from foveate.models.absence import given_unseen, standard_points
+from foveate.models.belief import Belief
+from foveate.policies.handmade import handmade
+from foveate.rollout import TRUE
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
+from foveate.scenes import Scene
+
+
+def gaussian(mean, covariance) -> Belief:
+    return Belief(jnp.asarray(mean, float), jnp.asarray(np.linalg.inv(covariance), float))
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_points_stand_for_a_standard_normal(dimension):
+    points = standard_points(dimension)
+    np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(points.T @ points / len(points), np.eye(dimension), atol=1e-12)
+    for direction in np.random.default_rng(0).normal(size=(20, dimension)):
+        assert kstest(points @ direction / np.linalg.norm(direction), "norm").statistic < 0.05
+
+
+@pytest.mark.parametrize("edge", [-1.0, 0.0, 0.7])
+def test_half_a_plane_in_view_leaves_a_truncated_normal(edge):
+    """Everything with x < edge is in view; std 1.5 along x, where mean and variance are scipy's; y stays as it was."""
+    belief = gaussian([0.3, -2.0], np.diag([1.5**2, 0.4**2]))
+    left = given_unseen(belief, jnp.eye(2), lambda points: points[:, 0] < edge)
+    expected = truncnorm((edge - 0.3) / 1.5, np.inf, loc=0.3, scale=1.5)
+    covariance = np.linalg.inv(left.information)
+    np.testing.assert_allclose(left.mean, [expected.mean(), -2.0], atol=0.03)
+    np.testing.assert_allclose(np.diag(covariance), [expected.var(), 0.16], rtol=0.08)
+    assert abs(covariance[0, 1]) < 0.02
+
+
+def test_what_depends_on_the_position_moves_with_it():
+    """Position and velocity that hang together, a disc in view: as of 400,000 samples of which those outside stay."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(4, 4)) * [[1.0], [1.0], [0.5], [0.5]]
+    mean, covariance = np.array([0.5, 0.2, 1.0, -1.0]), root @ root.T + 0.1 * np.eye(4)
+    samples = rng.multivariate_normal(mean, covariance, 400_000)
+    outside = samples[np.hypot(*samples[:, :2].T) > 1.0]
+    left = given_unseen(gaussian(mean, covariance), jnp.eye(2, 4), lambda points: jnp.hypot(*points.T) <= 1.0)
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(left.mean / scale, outside.mean(axis=0) / scale, atol=0.03)
+    found = np.linalg.inv(left.information) / np.outer(scale, scale)
+    np.testing.assert_allclose(found, np.cov(outside.T) / np.outer(scale, scale), atol=0.04)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_nothing_or_all_in_view_says_nothing(inside):
+    """Nothing in view: nothing was to be expected. All of it: the belief was wrong altogether."""
+    belief = gaussian([0.3, -2.0], np.diag([2.0, 1.0]))
+    left = given_unseen(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
+    np.testing.assert_array_equal(left.mean, belief.mean)
+    np.testing.assert_array_equal(left.information, belief.information)
+
+
+@pytest.mark.parametrize(("absence", "is_honest"), [(None, False), ("used", True)])
+def test_a_filter_that_uses_absence_is_honest_of_what_it_looks_for_in_vain(absence, is_honest):
+    """Targets anywhere about one who stands still; those count that were believed to be in view, and were not seen."""
+    scenario = Scenario(sensor=SensorSettings(absence=absence), scenes=SceneSettings(initial_error="consistent"))
+    problem, places = scenario.problem(), np.random.default_rng(0).uniform(-1, 1, (300, 20, 2)) * [4, 5] + [1, 0]
+    still = ((0.0, 0.0),) * 20
+    scenes = [
+        Scene(id=str(i), agent=(0.0, 0.0, 0.0), targets=tuple(map(tuple, one.tolist())), drift=still, horizon=1)
+        for i, one in enumerate(places)
+    ]
+    suite = prepare(problem, replace(scenario.scenes, jitter_m_s=0.0), scenes, seed=0)
+    trace = simulate(suite, handmade("still", problem, 2.0), TRUE)
+    error = trace.mean[:, 1] - np.asarray(suite.truth.state)[:, 1]
+    nees = np.einsum("eni,enij,enj->en", error, trace.information[:, 1], error)
+    in_vain = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible[:, 0]
+    low, high = chi_square_band(2, int(in_vain.sum()))
+    assert in_vain.sum() > 200
+    assert (low < nees[in_vain].mean() < high) == is_honest

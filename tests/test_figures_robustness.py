@@ -1,0 +1,37 @@
+"""The figure of changed worlds: what is drawn is what the verdicts say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_robustness import MADE_UP, made_up_points
+
+from foveate import figures_robustness
+from foveate.drawing import new_figure
+from foveate.figures_robustness import robustness_figure
+from foveate.robustness import verdicts
+
+
+def test_lines_stand_at_the_means():
+    axes, found = new_figure(3.0, 3.0).subplots(), verdicts(MADE_UP, made_up_points())
+    styles = {"net": figures_robustness.STYLES[0], "omniscient": figures_robustness.CEILING}
+    figures_robustness._panel(axes, MADE_UP, found, styles)
+    drawn = {(line.get_color(), line.get_linestyle()): line for line in axes.lines}
+    net = [one for one in found if one.method == "net"]
+    color, _, line = styles["net"]
+    expected = [(one.value, one.mean) for one in net]
+    np.testing.assert_allclose(np.asarray(drawn[color, line].get_xydata(), float), expected)
+    segments = axes.collections[0].get_segments()
+    np.testing.assert_allclose([segment[:, 1] for segment in segments], [one.ci95 for one in net])
+    assert axes.get_xlabel() == "f"
+
+
+def test_the_figure_is_a_file_of_readme_width(tmp_path):
+    factors = [replace(MADE_UP, name=name, values=values) for name, values in (("f", (1.0, 2.0)), ("g", (1.0, 2.0)))]
+    found = {factor.name: verdicts(MADE_UP, made_up_points()) for factor in factors}
+    robustness_figure(factors * 3, found, tmp_path / "robustness.png")
+    with Image.open(tmp_path / "robustness.png") as picture:
+        assert picture.width == 1350
+    with pytest.raises(ValueError, match="no factor"):
+        robustness_figure([], {}, tmp_path / "none.png")
