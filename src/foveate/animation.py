@@ -49,11 +49,16 @@ def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900,
     moments = frame_moments(film.steps, stage_of(film).max_frames)
     if kind == ".png":
         buffer = io.BytesIO()
-        Image.fromarray(next(_frames(film, moments[-1:], size))).save(buffer, "PNG")
+        Image.fromarray(picture(film, moments[-1], size)).save(buffer, "PNG")
         write_atomic(path, buffer.getvalue())
     else:
         encode = _gif if kind == ".gif" else _mp4
         write_atomic(path, encode(list(_frames(film, moments, size)), fps))
+
+
+def picture(film: Film, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
+    """One frame of the animation, at a moment of the film (see `film.snapshot`): uint8, (height, width, 3)."""
+    return next(_frames(film, [moment], size))
 
 
 def frame_moments(steps: int, most: int) -> list[int]:

@@ -1,20 +1,20 @@
 """The step of `rollout` as pure `reset` and `step`, for learners and programs that decide outside of it.
 
-All functions but the last are of one environment, to be `vmap`ed; the last one steps a batch and starts every episode
-that is over anew, so that a program of any length runs at full speed.
+All functions but two are of one environment, to be `vmap`ed; `step_and_reset` steps a batch and starts every episode
+that is over anew (`renew`), so that a program of any length runs at full speed.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from foveate.episodes import training_episode
 from foveate.linalg import log_det_spd
 from foveate.problem import Episode, Observation, Problem, per_target
 from foveate.rollout import Protocol, State, act, instants, observe, predict, start
 from foveate.scenario import SceneSettings
-from foveate.types import Action, Key, Scalar
+from foveate.types import Action, Count, Key, Scalar
 
 CHUNK = 64
 """So many episodes are drawn at once where some of a batch are over: what a step costs follows how many are."""
@@ -52,13 +52,16 @@ class Moment(eqx.Module):
 class Transition(eqx.Module):
     """What a step brought: the growth of the score [nat], whether the episode is over, what is seen after it.
 
-    The rewards of an episode sum to its last score less its first.
+    The rewards of an episode sum to its last score less its first. `state` and `visible`, the beliefs after the update
+    and which targets were really measured, are for pictures.
     """
 
     reward: Float[Array, "*b"]
     done: Bool[Array, "*b"]
     score: Float[Array, "*b"]
     observation: Observation
+    state: State
+    visible: Bool[Array, "*b n"]
 
 
 def begin(environment: Environment, episode: Episode, key: Key) -> Moment:
@@ -67,10 +70,11 @@ def begin(environment: Environment, episode: Episode, key: Key) -> Moment:
     return _moment(environment, episode, state, _score(state, state.present), key)
 
 
-def reset(environment: Environment, key: Key) -> Moment:
-    """A fresh episode of the training distribution."""
+def reset(environment: Environment, key: Key, targets: Count | None = None) -> Moment:
+    """A fresh episode of the training distribution; with `targets` > 0 one of so many."""
     episode_key, next_key = jax.random.split(key)
-    episode = training_episode(environment.problem, environment.scenes, episode_key, environment.noise)
+    scenes, noise = environment.scenes, environment.noise
+    episode = training_episode(environment.problem, scenes, episode_key, noise, targets=targets)
     return begin(environment, episode, next_key)
 
 
@@ -83,11 +87,12 @@ def step(environment: Environment, moment: Moment, action: Action) -> tuple[Mome
     """One step of `rollout`: move, measure, update, and predict what comes next; done when step == horizon."""
     episode, predicted = moment.episode, moment.predicted
     instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
-    state, _, _ = act(environment.problem, environment.protocol, predicted, instant, action)
+    state, visible, _ = act(environment.problem, environment.protocol, predicted, instant, action)
     # A target that has just come could not be measured yet.
     score = _score(state, state.present & predicted.present)
     after = _moment(environment, episode, state, score, moment.key)
-    return after, Transition(score - moment.score, state.step >= episode.horizon, score, observation(after))
+    done = state.step >= episode.horizon
+    return after, Transition(score - moment.score, done, score, observation(after), state, visible)
 
 
 def step_and_reset(
@@ -98,16 +103,20 @@ def step_and_reset(
     Every environment draws its episodes from its own key, so that none depends on what the others do.
     """
     moments, transition = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
-    return _renew(environment, moments, transition.done), transition
+    return renew(environment, moments, transition.done), transition
 
 
-def _renew(environment: Environment, moments: Moment, over: Bool[Array, " b"]) -> Moment:
+def renew(
+    environment: Environment, moments: Moment, over: Bool[Array, " b"], targets: Int[Array, " b"] | None = None
+) -> Moment:
+    """The next episode in those of a batch whose episode is over, each from its own key; `targets` as in `reset`."""
     count = len(over)
 
     def some(carry):
         moments, over = carry
         rows = jnp.nonzero(over, size=min(CHUNK, count), fill_value=count)[0]
-        fresh = jax.vmap(reset, (None, 0))(environment, moments.key.at[rows].get(mode="clip"))
+        asked = None if targets is None else targets.at[rows].get(mode="clip")
+        fresh = jax.vmap(reset, (None, 0, 0))(environment, moments.key.at[rows].get(mode="clip"), asked)
         # Rows beyond the batch fill up the chunk, and are dropped.
         moments = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), moments, fresh)
         return moments, over.at[rows].set(False, mode="drop")

@@ -143,12 +143,20 @@ def episode_of(
     return _with_turnover(problem, settings, episode, error) if turnover else episode
 
 
-def training_episode(problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False) -> Episode:
-    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected."""
+def training_episode(
+    problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False, targets: Count | None = None
+) -> Episode:
+    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected.
+
+    With `targets` > 0 it has so many, of the numbers that the settings allow.
+    """
     scene_key, noise_key = jax.random.split(key)
-    steps, targets = scenes.horizon(scenes.targets_max), scenes.targets_max
-    chance = draw_noise(problem, noise_key, steps, targets)
+    chance = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max)
     uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
+    if targets is not None:
+        # The first number says how many targets there are: that of the middle of the share that means so many.
+        share = (targets - scenes.targets_min + 0.5) / (scenes.targets_max + 1 - scenes.targets_min)
+        uniform = uniform.at[0].set(jnp.where(targets > 0, 2.0 * share - 1.0, uniform[0]))
     scene = draw(scenes, problem, uniform, test)
     return episode_of(problem, scenes, scene, chance, with_truth=noise, turnover=noise and scenes.turnover)
 

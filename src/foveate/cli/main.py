@@ -10,6 +10,7 @@ import tyro
 
 from foveate.cli.common import keep_compiled
 from foveate.cli.evaluate import Evaluate
+from foveate.cli.export import Export
 from foveate.cli.fit import Fit
 from foveate.cli.plan import Plan
 from foveate.cli.render import Render
@@ -39,6 +40,7 @@ COMMANDS = {
     "fit": Fit,
     "replay": Replay,
     "render": Render,
+    "export": Export,
 }
 
 

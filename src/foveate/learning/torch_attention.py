@@ -21,7 +21,7 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from foveate.policies.attention import AttentionPolicy, AttentionSettings
-from foveate.policies.inputs import policy_inputs
+from foveate.policies.inputs import told
 from foveate.problem import Observation, Problem
 from foveate.types import Scalar
 
@@ -30,12 +30,7 @@ def flat_inputs(
     problem: Problem, settings: AttentionSettings, observation: Observation, left: Scalar
 ) -> Float[Array, " size"]:
     """Exactly what `AttentionPolicy` is told, padding as zeros, and the share of steps that is `left`."""
-    agent, targets = policy_inputs(
-        observation, problem.agent.space, settings.frame, settings.length_m, settings.information
-    )
-    present = observation.present
-    targets = jnp.where(present[:, None], targets, 0.0)
-    return jnp.concatenate([agent, targets.ravel(), present.astype(agent.dtype), left[None].astype(agent.dtype)])
+    return told(observation, left, problem.agent.space, settings.frame, settings.length_m, settings.information).row
 
 
 class Attention(nn.Module):

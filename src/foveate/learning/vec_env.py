@@ -5,16 +5,18 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from gymnasium import spaces
+from jaxtyping import Array
 from stable_baselines3.common.vec_env import VecEnv
 
-from foveate.environment import Environment, Moment, observation, reset, step_and_reset
+from foveate.environment import Environment
+from foveate.learning.batch import Batch, Programs
 from foveate.learning.torch_attention import flat_inputs
 from foveate.policies.attention import AttentionSettings
-from foveate.types import Key
+from foveate.problem import Observation
+from foveate.types import Key, Scalar
 
 
 class TargetsVecEnv(VecEnv):
@@ -29,29 +31,13 @@ class TargetsVecEnv(VecEnv):
     def __init__(
         self, environment: Environment, settings: AttentionSettings, count: int, key: Key, reward_scale: float = 1.0
     ) -> None:
-        problem = environment.problem
+        def look(observation: Observation, left: Scalar) -> Array:
+            return flat_inputs(environment.problem, settings, observation, left)
 
-        def look(moment: Moment):
-            left = 1.0 - moment.predicted.step / moment.episode.horizon
-            return flat_inputs(problem, settings, observation(moment), left)
-
-        def begin(keys):
-            moments = jax.vmap(reset, (None, 0))(environment, keys)
-            return moments, jax.vmap(look)(moments)
-
-        def advance(moments, actions):
-            length = moments.predicted.step + 1
-            after, transition = step_and_reset(environment, moments, actions)
-            seen = jax.vmap(lambda o: flat_inputs(problem, settings, o, 0.0 * transition.reward[0]))
-            end = seen(transition.observation)
-            reward = reward_scale * transition.reward
-            return after, (jax.vmap(look)(after), reward, transition.done, end, transition.score, length)
-
-        self._begin, self._advance = eqx.filter_jit(begin), eqx.filter_jit(advance, donate="all")
-        self._key, self._moments = key, None
-        self._actions = np.zeros((count, len(problem.agent.axes)), np.float32)
+        self._batch, self._key, self._reward_scale = Batch(Programs(environment, look, count)), key, reward_scale
+        self._actions = np.zeros((count, self._batch.axes), np.float32)
         self._returns = np.zeros(count)
-        size = jax.eval_shape(begin, jax.random.split(key, 1))[1].shape[1]
+        size = self._batch.programs.seen.shape[1]
         rows = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
 
@@ -61,9 +47,8 @@ class TargetsVecEnv(VecEnv):
             self._key = jax.random.key(self._seeds[0])
         self._reset_seeds()
         self._key, key = jax.random.split(self._key)
-        self._moments, rows = self._begin(jax.random.split(key, self.num_envs))
         self._returns[:] = 0.0
-        return np.asarray(rows).astype(np.float32)
+        return self._batch.renew(jax.random.split(key, self.num_envs))[0]
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions for `step_wait`."""
@@ -71,19 +56,19 @@ class TargetsVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Take the step: rows, rewards, ends, and what there is to say about those that ended."""
-        self._moments, numbers = self._advance(self._moments, self._actions)
-        rows, reward, done, end, score, length = map(np.asarray, numbers)
+        steps = self._batch.step(self._actions)
+        reward = self._reward_scale * steps.reward
         self._returns += reward
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for i in np.flatnonzero(done):
+        for i in np.flatnonzero(steps.done):
             infos[i] = {
-                "terminal_observation": end[i].astype(np.float32),
+                "terminal_observation": steps.end[i],
                 "TimeLimit.truncated": False,
-                "score": float(score[i]),
-                "episode": {"r": float(self._returns[i]), "l": int(length[i])},
+                "score": float(steps.score[i]),
+                "episode": {"r": float(self._returns[i]), "l": int(steps.length[i])},
             }
-        self._returns[done] = 0.0
-        return rows.astype(np.float32), reward.astype(np.float32), np.array(done), infos
+        self._returns[steps.done] = 0.0
+        return steps.seen, reward, steps.done, infos
 
     def close(self) -> None:
         """Nothing is open."""

@@ -1,6 +1,6 @@
 """What a learned policy is told: pose and predicted beliefs as numbers, in the agent's frame or in the world's."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 from foveate.geometry.space import Space
 from foveate.linalg import multiply, vech
 from foveate.problem import Observation, Problem
+from foveate.types import Scalar
 
 Frame = Literal["body", "world"]
 Scale = Literal["plain", "asinh"]
@@ -89,3 +90,33 @@ def rich_numbers(problem: Problem, kind: str) -> int:
         )
     told = d if problem.motion.input_size == d else 0
     return n_y + n_y * (n_y + 1) // 2 + (d + 1) + told + 3
+
+
+class Told(NamedTuple):
+    """An observation as arrays for learners outside of JAX; padding is zeros."""
+
+    agent: Float[Array, " n_u"]
+    targets: Float[Array, "n features"]
+    mask: Float[Array, " n"]
+    """1 where a target is present."""
+    left: Float[Array, " 1"]
+    """The share of the episode's steps that is left."""
+
+    @property
+    def row(self) -> Float[Array, " size"]:
+        """All of it, one after the other."""
+        return jnp.concatenate([self.agent, self.targets.ravel(), self.mask, self.left])
+
+
+def told(
+    observation: Observation, left: Scalar, space: Space, frame: Frame, length_m: float = 1.0, scale: Scale = "plain"
+) -> Told:
+    """`policy_inputs`, who is present, and the share of steps that is `left`."""
+    agent, targets = policy_inputs(observation, space, frame, length_m, scale)
+    present = observation.present
+    return Told(
+        agent=agent,
+        targets=jnp.where(present[:, None], targets, 0.0),
+        mask=present.astype(agent.dtype),
+        left=left[None].astype(agent.dtype),
+    )

@@ -1,0 +1,77 @@
+"""Decide with an exported policy, with numpy and onnxruntime only:
+
+    foveate export runs/first policy.onnx
+    python examples/run_onnx.py policy.onnx
+
+`OnnxPolicy` is what to copy onto a robot: it turns beliefs, means and covariances in the world frame, into the inputs
+of the network, and gives the command.
+"""
+
+import json
+import sys
+import time
+
+import numpy as np
+import onnxruntime
+
+
+class OnnxPolicy:
+    """A policy from a file of `foveate export`."""
+
+    def __init__(self, path: str) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1  # so small a network is slower on several
+        self.session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+        self.facts = self.session.get_modelmeta().custom_metadata_map
+        if (self.facts.get("format"), self.facts.get("format_version")) != ("foveate-policy", "1"):
+            raise ValueError(f"{path}: not a foveate-policy of version 1: export it with the foveate of this example")
+        self.wanted = [each.name for each in self.session.get_inputs()]
+        self.output, self.model = json.loads(self.facts["output"]), json.loads(self.facts["model"])
+
+    def predict(self, mean, covariance, known_input=None, step=0):
+        """Beliefs at the end of the coming step: A mean + B xi, A P A^T + W."""
+        now = self.model["steps"][step % len(self.model["steps"])]
+        A, B, W = (np.array(now[name]) for name in ("A", "B", "W"))
+        if known_input is None:
+            known_input = np.zeros((len(mean), B.shape[1]))
+        return mean @ A.T + known_input @ B.T, A @ covariance @ A.T + W, known_input
+
+    def __call__(self, pose, mean, covariance, known_input=None, steps_left=None, step=0):
+        """The command by axis [m/s, rad/s] at a pose, for beliefs as they are NOW, shapes (n, n_y) and (n, n_y, n_y).
+
+        The pose is [x, y, yaw], or in space the 4 x 4 transform from body to world. n may be 0. Without an
+        end to count `steps_left` to, the policy is always in the middle of an episode.
+        """
+        mean, covariance, known_input = self.predict(mean, covariance, known_input, step)
+        inputs = {
+            "pose": np.asarray(pose, np.float32),
+            "mean": mean.astype(np.float32),
+            "information": np.linalg.inv(covariance).astype(np.float32),
+            "present": np.ones(len(mean), bool),
+            "known_input": known_input.astype(np.float32),
+            "steps_left": np.array(steps_left or self.facts["steps_left"], np.int64),
+        }
+        (control,) = self.session.run(["control"], {name: inputs[name][None] for name in self.wanted})
+        return dict(zip(self.output["axes"], control[0].tolist(), strict=True))
+
+
+def main(path: str) -> None:
+    """Three made-up targets around the origin, and the time that a decision takes."""
+    policy = OnnxPolicy(path)
+    size, d = len(policy.model["Z"][0]), len(policy.model["Z"])
+    mean = np.zeros((3, size))
+    mean[:, :2] = [[3.0, 1.0], [-2.0, 4.0], [5.0, -3.0]]
+    covariance = np.array([0.04, 1.0, 4.0])[:, None, None] * np.eye(size)
+    pose = np.zeros(3) if d == 2 else np.eye(4)
+    for axis, value in policy(pose, mean, covariance).items():
+        print(f"{axis} = {value:+.4f} {dict(zip(policy.output['axes'], policy.output['units'], strict=True))[axis]}")
+    began = time.perf_counter()
+    for _ in range(200):
+        policy(pose, mean, covariance)
+    print(f"{(time.perf_counter() - began) / 200 * 1e6:.0f} us a decision, one every {policy.facts['tau_s']} s")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("run_onnx.py POLICY.onnx: expected one file, as `foveate export` writes it")
+    main(sys.argv[1])

@@ -1,0 +1,305 @@
+"""Exported policies against the JAX ones, which have oracles of their own; run by the real onnxruntime."""
+
+import json
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.spatial.transform import Rotation
+
+from foveate.checkpoint import BEST, save_tree, write_config
+from foveate.cli.main import main
+from foveate.export import OPSETS, export, inputs_of, to_onnx
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.handmade import handmade
+from foveate.policies.pointer import PointerSettings
+from foveate.policies.pooling import PoolingSettings
+from foveate.problem import Observation
+from foveate.scenario import Scenario
+from foveate.settings import DEEPER, QUADROTOR, Experiment
+
+onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "deploy.md"
+EXAMPLE = ROOT / "examples" / "run_onnx.py"
+COUNT, MOST = 1000, 64
+CASES = {
+    "attention, body": Experiment(),
+    "attention, world": Experiment(policy=AttentionSettings(frame="world")),
+    "attention, body, in space": Experiment(scenario=QUADROTOR, policy=replace(DEEPER, length_m=6.0)),
+    "attention, world, in space": Experiment(scenario=QUADROTOR, policy=replace(DEEPER, frame="world")),
+    "pooling": Experiment(policy=PoolingSettings(kind="pooling")),
+    "pooling, in space": Experiment(scenario=QUADROTOR, policy=PoolingSettings(kind="pooling")),
+    "pointer": Experiment(policy=PointerSettings(kind="pointer")),
+    "pointer, in space": Experiment(scenario=QUADROTOR, policy=PointerSettings(kind="pointer")),
+}
+
+
+GAINS = {
+    "attention, body": 0.6,
+    "attention, world": 0.6,
+    "attention, body, in space": 1.1,
+    "attention, world, in space": 0.8,
+    "pooling": 1.3,
+    "pooling, in space": 1.25,
+    "pointer": 1.3,
+    "pointer, in space": 1.25,
+}
+"""Scales of weights with which decisions differ and are not all extreme."""
+
+
+def strong(experiment):
+    """A policy in float32 whose decisions differ from belief to belief."""
+    problem, rng = experiment.scenario.problem(), np.random.default_rng(6)
+    shapes = eqx.filter_eval_shape(lambda: experiment.policy.policy(problem, jax.random.key(0)))
+    gain = next(gain for name, gain in GAINS.items() if CASES[name] == experiment)
+    return jax.tree.map(lambda x: jnp.asarray(rng.normal(0, gain * x.shape[-1] ** -0.5, x.shape), jnp.float32), shapes)
+
+
+def beliefs(experiment, count=COUNT, most=MOST, seed=0):
+    """Random poses and beliefs, of none to `most` targets, padded with what must not matter; any rotation in space.
+
+    Deviations are those of the paper's filter: 0.1 m in view for long, 1.5 m not yet seen. Were beliefs much surer,
+    rounding in float32 would come to more than 1e-5, in JAX too.
+    """
+    problem, rng = experiment.scenario.problem(), np.random.default_rng(seed)
+    n_y = problem.motion.state_size
+    pose = rng.uniform(-10, 10, (count, 3))
+    if problem.agent.space.dimension == 3:
+        position, pose = pose, np.tile(np.eye(4), (count, 1, 1))
+        pose[:, :3, :3], pose[:, :3, 3] = Rotation.random(count, rng=seed).as_matrix(), position
+        small = Rotation.from_rotvec(rng.normal(0, 1, (10, 3)) * np.logspace(-8, 0, 10)[:, None])
+        pose[:10, :3, :3] = small.as_matrix()
+    deviation = rng.uniform(0.1, 1.5, (count, most, n_y))
+    turn = np.linalg.qr(rng.normal(size=(count, most, n_y, n_y)))[0]
+    information = np.einsum("bnij,bnj,bnkj->bnik", turn, deviation**-2, turn)
+    numbers = rng.integers(1, most + 1, count)
+    numbers[:3] = 0
+    return {
+        "pose": pose.astype(np.float32),
+        "mean": rng.uniform(-10, 10, (count, most, n_y)).astype(np.float32),
+        "information": information.astype(np.float32),
+        "present": np.arange(most) < numbers[:, None],
+        "known_input": rng.normal(size=(count, most, problem.motion.input_size)).astype(np.float32),
+        "steps_left": rng.integers(-2, 60, count),
+    }
+
+
+@eqx.filter_jit
+def decided(problem, policy, arrays):
+    """What the JAX policy commands, one decision after the other."""
+
+    def one(now):
+        seen = Observation(
+            jnp.zeros((), int),
+            now["steps_left"],
+            now["pose"],
+            now["mean"],
+            now["information"],
+            now["present"],
+            now["known_input"],
+        )
+        return problem.agent.control(policy(seen, (), jax.random.key(0))[0])
+
+    return jax.lax.map(one, arrays, batch_size=100)
+
+
+def session(model):
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(model.SerializeToString(), options)
+
+
+def run(live, arrays):
+    return live.run(None, {each.name: arrays[each.name] for each in live.get_inputs()})[0]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_decides_as_the_jax_policy(name):
+    """1,000 beliefs in one batch with padding, and one by one with as many targets as there are."""
+    experiment = CASES[name]
+    problem, policy = experiment.scenario.problem(), strong(experiment)
+    arrays, live = beliefs(experiment), session(to_onnx(experiment, policy))
+    single = jax.tree.map(lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, problem)
+    expected = np.asarray(decided(single, policy, arrays))
+    assert expected.dtype == np.float32
+    reach = np.asarray(problem.agent.upper - problem.agent.lower)
+    assert (np.ptp(expected, axis=0) > 0.1 * reach).all(), "decisions must differ, or nothing was compared"
+    np.testing.assert_allclose(run(live, arrays), expected, rtol=0, atol=1e-5)
+    alone = []
+    for i, here in enumerate(arrays["present"]):
+        cut = {key: x[i : i + 1] if key in ("pose", "steps_left") else x[i : i + 1, here] for key, x in arrays.items()}
+        alone.append(run(live, cut)[0])
+    np.testing.assert_allclose(alone, expected, rtol=0, atol=1e-5)
+    assert (np.array(alone) >= np.asarray(single.agent.lower)).all()
+    assert (np.array(alone) <= np.asarray(single.agent.upper)).all()
+
+
+def test_what_stands_in_padding_does_not_matter():
+    """Not a number included: a robot's command must not become one."""
+    experiment = CASES["pooling"]
+    live, arrays = session(to_onnx(experiment, strong(experiment))), beliefs(experiment, 20, 6)
+    expected = run(live, arrays)
+    for key in ("mean", "information", "known_input"):
+        arrays[key][~arrays["present"]] = np.nan
+    assert np.array_equal(run(live, arrays), expected)
+
+
+@pytest.mark.parametrize("opset", [OPSETS[0], OPSETS[-1]])
+def test_every_opset_computes_the_same(opset):
+    experiment = CASES["attention, world, in space"]
+    policy, arrays = strong(experiment), beliefs(experiment, 20, 6)
+    model = to_onnx(experiment, policy, opset)
+    assert model.opset_import[0].version == opset
+    np.testing.assert_allclose(
+        run(session(model), arrays), run(session(to_onnx(experiment, policy)), arrays), rtol=0, atol=1e-6
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A run folder and its exported policy."""
+    experiment = CASES["pooling"]
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "run" / "checkpoint").mkdir(parents=True)
+    write_config(folder / "run", experiment)
+    save_tree(folder / "run" / BEST, strong(experiment), experiment, "policy", {})
+    assert main(["export", str(folder / "run"), str(folder / "policy.onnx")]) == 0
+    return folder / "run", folder / "policy.onnx"
+
+
+def test_metadata_say_what_goes_in_and_out(trained):
+    facts = onnxruntime.InferenceSession(trained[1]).get_modelmeta().custom_metadata_map
+    assert (facts["format"], facts["format_version"], facts["policy"]) == ("foveate-policy", "1", "pooling")
+    assert json.loads(facts["tau_s"]) == 1.0
+    output = json.loads(facts["output"])
+    assert (output["axes"], output["units"], output["frame"]) == (["vx", "wz"], ["m/s", "rad/s"], "body")
+    np.testing.assert_allclose([output["lower"], output["upper"]], [[0, -np.pi / 3], [4, np.pi / 3]], atol=1e-7)
+    graph = onnx.load(trained[1]).graph
+    names = [each["name"] for each in json.loads(facts["inputs"])]
+    assert names == [each.name for each in graph.input]
+    assert names == ["pose", "mean", "information", "present", "known_input", "steps_left"]
+    shapes = {
+        each.name: [axis.dim_param or axis.dim_value for axis in each.type.tensor_type.shape.dim]
+        for each in graph.input
+    }
+    assert shapes == {each["name"]: each["shape"] for each in json.loads(facts["inputs"])}
+    assert shapes["information"] == ["b", "n", 2, 2]
+
+
+def test_an_input_that_a_policy_does_not_read_is_not_asked_for():
+    experiment = CASES["attention, body"]
+    names = [each.name for each in inputs_of(strong(experiment), experiment.scenario.problem())]
+    assert names == ["pose", "mean", "information", "present"]
+
+
+def test_the_example_turns_a_belief_into_a_decision(trained):
+    """Its prediction against filterpy's, its command against the JAX policy's."""
+    example = runpy.run_path(str(EXAMPLE))["OnnxPolicy"](str(trained[1]))
+    rng, n = np.random.default_rng(0), 4
+    mean, pushes, pose = rng.normal(size=(n, 2)), rng.normal(size=(n, 2)), np.array([1.0, 2.0, 0.5])
+    covariance = np.stack([np.diag(row) for row in rng.uniform(0.1, 1, (n, 2))])
+    predicted, spread, _ = example.predict(mean, covariance, pushes)
+    for i in range(n):
+        other = KalmanFilter(dim_x=2, dim_z=2, dim_u=2)
+        other.x, other.P = mean[i][:, None], covariance[i]
+        other.F = other.B = np.eye(2)
+        other.Q = 0.05**2 * np.eye(2)
+        other.predict(pushes[i][:, None])
+        np.testing.assert_allclose(predicted[i], other.x[:, 0], rtol=1e-6)
+        np.testing.assert_allclose(spread[i], other.P, rtol=1e-6)
+    experiment = CASES["pooling"]
+    arrays = {
+        "pose": pose,
+        "mean": predicted,
+        "information": np.linalg.inv(spread),
+        "present": np.ones(n, bool),
+        "known_input": pushes,
+        "steps_left": np.array(7),
+    }
+    one = {key: jnp.asarray(x)[None] for key, x in arrays.items()}
+    expected = decided(experiment.scenario.problem(), strong(experiment), one)[0]
+    control = example(pose, mean, covariance, pushes, steps_left=7)
+    np.testing.assert_allclose([control["vx"], control["wz"]], expected, rtol=0, atol=1e-5)
+    assert set(example(pose, mean[:0], covariance[:0])) == {"vx", "wz"}
+
+
+def test_the_example_needs_numpy_and_onnxruntime_only(trained):
+    blocked = ("jax", "jaxlib", "equinox", "foveate", "onnx", "scipy", "matplotlib")
+    code = f"import sys, runpy\nfor name in {blocked}: sys.modules[name] = None\n"
+    code += f"sys.argv = ['run_onnx.py', {str(trained[1])!r}]\nrunpy.run_path({str(EXAMPLE)!r}, run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines[:2]] == ["vx", "wz"]
+    assert "us a decision, one every 1.0 s" in lines[2]
+
+
+def test_the_example_refuses_a_file_of_another_version(trained, tmp_path):
+    model = onnx.load(trained[1])
+    next(each for each in model.metadata_props if each.key == "format_version").value = "2"
+    onnx.save(model, tmp_path / "later.onnx")
+    with pytest.raises(ValueError, match=r"later.onnx: not a foveate-policy of version 1"):
+        runpy.run_path(str(EXAMPLE))["OnnxPolicy"](str(tmp_path / "later.onnx"))
+
+
+def failure(capsys, *arguments):
+    assert main(arguments) == 2
+    line = capsys.readouterr().err.strip()
+    assert line.startswith("foveate: ")
+    assert "\n" not in line
+    return line
+
+
+def test_wrong_input_is_one_line_and_leaves_nothing(trained, tmp_path, capsys, monkeypatch):
+    folder, out = str(trained[0]), str(tmp_path / "x.onnx")
+    assert "ends in .onnx" in failure(capsys, "export", folder, str(tmp_path / "x.txt"))
+    assert "opset = 12: expected from 13 to 24" in failure(capsys, "export", folder, out, "--opset", "12")
+    assert "no folder" in failure(capsys, "export", folder, str(tmp_path / "no" / "x.onnx"))
+    assert "no such run folder" in failure(capsys, "export", "nowhere", out)
+    with pytest.raises(ValueError, match="Still has no ONNX graph"):
+        to_onnx(Experiment(), handmade("still", Scenario().problem(), 2.0))
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    assert "pip install 'foveate[onnx]'" in failure(capsys, "export", folder, out)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(trained, tmp_path, monkeypatch):
+    old = tmp_path / "policy.onnx"
+    old.write_bytes(b"old")
+    experiment = CASES["pooling"]
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        export(experiment, strong(experiment), old)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+def test_the_page_runs(trained, tmp_path, monkeypatch):
+    """docs/deploy.md, block after block: the export, and what a reader types then."""
+    shutil.copytree(trained[0], tmp_path / "runs" / "first")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    (name, *arguments) = next(block for kind, block in blocks if kind == "sh").split()
+    assert name == "foveate"
+    assert main(arguments) == 0
+    names = {}
+    for block in (block for kind, block in blocks if kind == "python"):
+        exec(compile(block, str(PAGE), "exec"), names)
+    assert names["tracker"].ids == ("car", "bike")
+    assert not names["tracker"].refused

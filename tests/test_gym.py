@@ -1,0 +1,311 @@
+"""The Gymnasium environments by the checks of Gymnasium and Stable-Baselines3, against Gymnasium's own vector
+environment over single ones, and under real learners."""
+
+import importlib
+import re
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import foveate.gym
+from foveate.checkpoint import write_config
+from foveate.gym_task import TaskSettings, scenario_of
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import PRESETS, QUADROTOR, Experiment
+from foveate.target_settings import LinearTarget
+
+EYE = ((1.0, 0.0), (0.0, 1.0))
+REVERSED = LinearTarget(kind="linear", A=EYE, B=EYE, W=EYE, Z=EYE[::-1], prior=EYE)
+PAGE = Path(__file__).parents[1] / "docs" / "gymnasium.md"
+COUNT = 4
+"""As in the page that is run below: what is alike is compiled once."""
+
+
+def make(**options):
+    return gymnasium.make(foveate.gym.ID, **options).unwrapped
+
+
+def actions(rng, *shape):
+    return rng.uniform(-1, 1, (*shape, 2)).astype(np.float32)
+
+
+def test_gymnasium_finds_nothing_wrong():
+    """Warnings are errors here; `check_env` makes one with each way to render, too."""
+    check_env(make())
+    check_env(make(observation="flat", horizon="terminated"), skip_render_check=True)
+
+
+def test_made_by_the_name_of_the_module():
+    env = gymnasium.make(f"foveate.gym:{foveate.gym.ID}")
+    assert isinstance(env.unwrapped, foveate.gym.TrackingEnv)
+    assert isinstance(gymnasium.make_vec(foveate.gym.ID, 2), foveate.gym.TrackingVectorEnv)
+
+
+def same(one, other):
+    """Equal to rounding in float32, whatever is nested."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for name in one:
+            same(one[name], other[name])
+    elif isinstance(one, tuple) or (isinstance(one, np.ndarray) and one.dtype == object):
+        for a, b in zip(one, other, strict=True):
+            same(a, b)
+    elif one is None:
+        assert other is None
+    else:
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED], ids=str)
+def test_the_vector_environment_is_single_ones_side_by_side(mode):
+    """Gymnasium's `SyncVectorEnv` over single environments, step by step, through several ends of episodes."""
+    ours = gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode=mode)
+    theirs = gymnasium.make_vec(
+        foveate.gym.ID, COUNT, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}
+    )
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == mode
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    rng, ends = np.random.default_rng(0), np.zeros(COUNT, int)
+    (one, info), (other, other_info) = ours.reset(seed=5), theirs.reset(seed=5)
+    same(one, other)
+    same(info, other_info)
+    for k in range(60):
+        now = actions(rng, COUNT)
+        one, other = ours.step(now), theirs.step(now)
+        assert one[0] in ours.observation_space
+        for a, b in zip(one, other, strict=True):
+            same(a, b)
+        assert one[3].dtype == bool
+        ends += one[3]
+        if mode == AutoresetMode.DISABLED and one[3].any():
+            seed, mask = (None, [7 * k + i for i in range(COUNT)])[k % 2], one[3]
+            one, _ = ours.reset(seed=seed, options={"reset_mask": mask})
+            other, _ = theirs.reset(seed=seed, options={"reset_mask": mask})
+            same(one, other)
+    assert ends.min() >= 2
+    assert len(set(ends)) > 1, "episodes must end at different steps"
+
+
+def test_seeds_and_options():
+    env = make()
+    first, info = env.reset(seed=3)
+    second, _ = env.reset()
+    third, _ = env.reset()
+    assert not np.allclose(first["targets"], second["targets"])
+    assert not np.allclose(second["targets"], third["targets"])
+    same(env.reset(seed=3), (first, info))
+    same(env.reset(), (second, info))
+    other, _ = make().reset()
+    assert not np.allclose(first["targets"], other["targets"]), "without a seed it is chance"
+    assert info["score"] == pytest.approx(2 * np.log(0.5), abs=1e-6)  # Y_0 = 0.5 I in the plane
+    for n in (3, 5):
+        seen, _ = env.reset(options={"targets": n})
+        assert seen["mask"].tolist() == [1.0] * n + [0.0] * (8 - n)
+        assert not seen["targets"][n:].any()
+        length, over = 0, False
+        while not over:
+            seen, _, terminated, over, _ = env.step(np.zeros(2))
+            length += 1
+            assert not terminated
+            np.testing.assert_allclose(seen["left"], 1 - length / (3 * n), atol=1e-6)
+        assert length == 3 * n
+    envs = gymnasium.make_vec(foveate.gym.ID, COUNT)
+    seen, _ = envs.reset(seed=[9, 2, 9, 2], options={"targets": np.array([5, 3, 5, 4])})
+    assert seen["mask"].sum(axis=1).tolist() == [5, 3, 5, 4]
+    same(seen["targets"][0], seen["targets"][2])
+
+
+def test_what_is_seen_is_the_belief_in_the_agents_frame():
+    """By hand: the predicted mean in the body frame in units of the view's depth, asinh of the turned information."""
+    env = make()
+    seen, _ = env.reset(seed=1, options={"targets": 8})
+    moment = env._task.batch.moments
+    x, y, yaw = np.asarray(moment.predicted.pose[0])
+    R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    beliefs = (np.asarray(x) for x in (moment.predicted.mean[0], moment.predicted.information[0, 0]))
+    for row, p, P in zip(seen["targets"], *beliefs, strict=True):
+        turned = R.T @ P @ R
+        expected = [*(R.T @ (p - [x, y]) / 2.0), *np.arcsinh([turned[0, 0], turned[1, 0], turned[1, 1]])]
+        np.testing.assert_allclose(row, expected, rtol=1e-5, atol=1e-5)
+    flat, _ = make(observation="flat", horizon="terminated").reset(seed=1, options={"targets": 8})
+    np.testing.assert_array_equal(
+        flat, np.concatenate([seen[name].ravel() for name in ("agent", "targets", "mask", "left")])
+    )
+
+
+def test_the_horizon_is_terminated_on_demand_and_rewards_sum_to_the_score():
+    env = make(observation="flat", horizon="terminated")
+    _, info = env.reset(seed=0)
+    total, terminated, rng = info["score"], False, np.random.default_rng(0)
+    while not terminated:
+        _, reward, terminated, truncated, info = env.step(actions(rng))
+        total += reward
+        assert truncated is False
+    assert total == pytest.approx(info["score"], abs=1e-5)
+
+
+def test_pictures():
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.ones(2))
+    second = env.render()
+    assert first.dtype == second.dtype == np.uint8
+    assert first.shape == second.shape == (500, 900, 3)
+    assert (first != second).any()
+    assert (first == second).mean() > 0.8, "frame and axes stay where they are"
+
+
+def test_a_window_shows_each_step(monkeypatch):
+    import matplotlib.pyplot as plt
+
+    monkeypatch.setattr(plt, "pause", lambda _: None)
+    env = make(render_mode="human")
+    env.reset(seed=0)
+    (figure,) = (plt.figure(number) for number in plt.get_fignums())
+    (image,) = figure.images
+    first = np.array(image.get_array())
+    env.step(np.ones(2))
+    assert (np.array(image.get_array()) != first).any()
+    assert env.render() is None
+    env.close()
+    env.close()
+    assert plt.get_fignums() == []
+
+
+def test_a_scenario_is_one_a_preset_a_file_or_a_run(tmp_path: Path):
+    write_config(tmp_path, Experiment(scenario=QUADROTOR))
+    assert scenario_of("paper") == PRESETS["paper"].scenario
+    assert scenario_of(tmp_path) == scenario_of(str(tmp_path / "config.toml")) == QUADROTOR
+    assert scenario_of(QUADROTOR) is QUADROTOR
+    with pytest.raises(
+        ValueError, match=re.escape("scenario = 'nobody': expected a preset (paper, best, true-view, quadrotor)")
+    ):
+        scenario_of("nobody")
+
+
+def test_wrong_use_is_named():
+    for options, complaint in [
+        ({"protocol": "soft"}, "protocol = 'soft': expected 'true' or 'surrogate'"),
+        ({"horizon": "never"}, "horizon = 'never'"),
+        ({"length_m": 0.0}, "length_m = 0.0: expected > 0"),
+    ]:
+        settings = TaskSettings()
+        for name, value in options.items():  # in the constructor the types that tests check would be in the way
+            object.__setattr__(settings, name, value)
+        with pytest.raises(ValueError, match=re.escape(complaint)):
+            settings.__post_init__()
+    with pytest.raises(ValueError, match="expected targets whose state begins with the position"):
+        gymnasium.make(foveate.gym.ID, scenario=Scenario(target=REVERSED, scenes=SceneSettings(drift_m_s=(0.0, 0.0))))
+    with pytest.raises(ValueError, match="noise = False"):
+        make(noise=False)
+    with pytest.raises(ValueError, match="autoreset_mode"):
+        gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode=AutoresetMode.NEXT_STEP)
+    with pytest.raises(ValueError, match="render a single environment"):
+        gymnasium.make_vec(foveate.gym.ID, COUNT, render_mode="rgb_array")
+    env = make()
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(2))
+    env.reset(seed=0, options={"targets": 3})
+    with pytest.raises(ValueError, match="expected finite numbers"):
+        env.step(np.array([np.nan, 0.0]))
+    with pytest.raises(ValueError, match=r"expected \(1, 2\)"):
+        env.step(np.zeros(3))
+    for _ in range(9):
+        env.step(np.zeros(2))
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(2))
+    for options, complaint in [
+        ({"targets": 9}, r"options\['targets'\] = 9: expected whole numbers from 3 to 8"),
+        ({"scene": "a"}, r"options\['scene'\]: expected 'targets'"),
+    ]:
+        with pytest.raises(ValueError, match=complaint):
+            env.reset(options=options)
+    envs = gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode="Disabled")
+    with pytest.raises(ResetNeeded):
+        envs.reset(options={"reset_mask": np.array([True, False, False, False])})
+    envs.reset(seed=0, options={"targets": 3})
+    for _ in range(9):
+        envs.step(np.zeros((COUNT, 2)))
+    envs.reset(options={"reset_mask": np.array([True, False, False, False])})
+    with pytest.raises(ResetNeeded, match="3 environments"):
+        envs.step(np.zeros((COUNT, 2)))
+    for mask in ([True] * COUNT, np.zeros(COUNT, bool), np.ones(3, bool)):
+        with pytest.raises(ValueError, match=r"options\['reset_mask'\]"):
+            envs.reset(options={"reset_mask": mask})
+    with pytest.raises(ValueError, match="seed has 2 numbers"):
+        envs.reset(seed=[1, 2])
+
+
+def test_without_gymnasium_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, "foveate.gym")
+    with pytest.raises(ImportError, match=re.escape("pip install 'foveate[gym]'")):
+        importlib.import_module("foveate.gym")
+
+
+def test_stable_baselines3_checks_and_learns():
+    pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_checker import check_env as check
+
+    flat = make(observation="flat", horizon="terminated")
+    check(flat)
+    env = make()
+    with warnings.catch_warnings():
+        # Its networks for images apart, it knows only rows, and flattens others by itself.
+        warnings.filterwarnings("ignore", ".*targets has an unconventional shape")
+        check(env)
+    options = {"n_steps": 32, "batch_size": 16, "n_epochs": 2, "seed": 0, "device": "cpu"}
+    for policy, each in (("MlpPolicy", flat), ("MultiInputPolicy", env)):
+        model = PPO(policy, each, **options)
+        before = [weight.detach().clone() for weight in model.policy.parameters()]
+        model.learn(64)
+        assert model.num_timesteps == 64
+        after = list(model.policy.parameters())
+        assert all(bool(weight.isfinite().all()) for weight in after)
+        assert any(not np.array_equal(a.detach(), b) for a, b in zip(after, before, strict=True))
+        action, _ = model.predict(each.reset(seed=0)[0], deterministic=True)
+        assert each.action_space.contains(action)
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
+def test_torchrl_collects_rollouts(mode):
+    """Its wrapper around the vector environment: episodes end at the horizon, and the next ones begin whole."""
+    torch = pytest.importorskip("torch", reason="needs PyTorch")
+    pytest.importorskip("torchrl", reason="needs TorchRL: pip install torchrl")
+    from torchrl.envs import GymWrapper
+
+    raw = gymnasium.make_vec(foveate.gym.ID, COUNT, autoreset_mode=mode)
+    env = GymWrapper(raw)
+    env.set_seed(0)
+    torch.manual_seed(0)
+    rollout = env.rollout(50, break_when_any_done=False)
+    assert rollout.batch_size == (COUNT, 50)
+    assert rollout["targets"].shape == (COUNT, 50, 8, 5)
+    over = rollout["next", "truncated"][..., 0].numpy()
+    assert over.sum() >= COUNT
+    left = rollout["next", "left"][..., 0].numpy()
+    np.testing.assert_allclose(left[over], 0.0, atol=1e-6)
+    begins = rollout["left"][..., 0].numpy()
+    np.testing.assert_allclose(begins[:, 1:][over[:, :-1]], 1.0, atol=1e-6)
+    assert np.isfinite(rollout["next", "reward"].numpy()).all()
+
+
+def test_the_page_runs(monkeypatch, tmp_path):
+    """Block after block of docs/gymnasium.md, as a reader types them."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert len(blocks) >= 4
+    names = {}
+    for block in blocks:
+        exec(compile(block, str(PAGE), "exec"), names)
