@@ -23,7 +23,6 @@ from foveate.export import OPSETS, export, inputs_of, to_onnx
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.handmade import handmade
 from foveate.policies.pointer import PointerSettings
-from foveate.policies.pooling import PoolingSettings
 from foveate.problem import Observation
 from foveate.scenario import Scenario
 from foveate.settings import DEEPER, QUADROTOR, Experiment
@@ -40,8 +39,6 @@ CASES = {
     "attention, world": Experiment(policy=AttentionSettings(frame="world")),
     "attention, body, in space": Experiment(scenario=QUADROTOR, policy=replace(DEEPER, length_m=6.0)),
     "attention, world, in space": Experiment(scenario=QUADROTOR, policy=replace(DEEPER, frame="world")),
-    "pooling": Experiment(policy=PoolingSettings(kind="pooling")),
-    "pooling, in space": Experiment(scenario=QUADROTOR, policy=PoolingSettings(kind="pooling")),
     "pointer": Experiment(policy=PointerSettings(kind="pointer")),
     "pointer, in space": Experiment(scenario=QUADROTOR, policy=PointerSettings(kind="pointer")),
 }
@@ -52,8 +49,6 @@ GAINS = {
     "attention, world": 0.6,
     "attention, body, in space": 1.1,
     "attention, world, in space": 0.8,
-    "pooling": 1.3,
-    "pooling, in space": 1.25,
     "pointer": 1.3,
     "pointer, in space": 1.25,
 }
@@ -149,7 +144,7 @@ def test_decides_as_the_jax_policy(name):
 
 def test_what_stands_in_padding_does_not_matter():
     """Not a number included: a robot's command must not become one."""
-    experiment = CASES["pooling"]
+    experiment = CASES["pointer"]
     live, arrays = session(to_onnx(experiment, strong(experiment))), beliefs(experiment, 20, 6)
     expected = run(live, arrays)
     for key in ("mean", "information", "known_input"):
@@ -171,7 +166,7 @@ def test_every_opset_computes_the_same(opset):
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A run folder and its exported policy."""
-    experiment = CASES["pooling"]
+    experiment = CASES["pointer"]
     folder = tmp_path_factory.mktemp("runs")
     (folder / "run" / "checkpoint").mkdir(parents=True)
     write_config(folder / "run", experiment)
@@ -182,7 +177,7 @@ def trained(tmp_path_factory):
 
 def test_metadata_say_what_goes_in_and_out(trained):
     facts = onnxruntime.InferenceSession(trained[1]).get_modelmeta().custom_metadata_map
-    assert (facts["format"], facts["format_version"], facts["policy"]) == ("foveate-policy", "1", "pooling")
+    assert (facts["format"], facts["format_version"], facts["policy"]) == ("foveate-policy", "1", "pointer")
     assert json.loads(facts["tau_s"]) == 1.0
     output = json.loads(facts["output"])
     assert (output["axes"], output["units"], output["frame"]) == (["vx", "wz"], ["m/s", "rad/s"], "body")
@@ -220,7 +215,7 @@ def test_the_example_turns_a_belief_into_a_decision(trained):
         other.predict(pushes[i][:, None])
         np.testing.assert_allclose(predicted[i], other.x[:, 0], rtol=1e-6)
         np.testing.assert_allclose(spread[i], other.P, rtol=1e-6)
-    experiment = CASES["pooling"]
+    experiment = CASES["pointer"]
     arrays = {
         "pose": pose,
         "mean": predicted,
@@ -279,7 +274,7 @@ def test_wrong_input_is_one_line_and_leaves_nothing(trained, tmp_path, capsys, m
 def test_a_file_is_replaced_whole_or_not_at_all(trained, tmp_path, monkeypatch):
     old = tmp_path / "policy.onnx"
     old.write_bytes(b"old")
-    experiment = CASES["pooling"]
+    experiment = CASES["pointer"]
 
     def full(*_):
         raise OSError(28, "No space left on device")

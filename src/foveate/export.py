@@ -17,7 +17,6 @@ from foveate import __version__
 from foveate.files import write_atomic
 from foveate.policies.attention import AttentionPolicy
 from foveate.policies.pointer import PointerPolicy
-from foveate.policies.pooling import PoolingPolicy
 from foveate.problem import Policy, Problem
 from foveate.settings import Experiment
 
@@ -73,7 +72,7 @@ def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
             meaning="false marks padding, which is ignored; all false is allowed",
         ),
     ]
-    if isinstance(policy, PoolingPolicy | PointerPolicy):
+    if isinstance(policy, PointerPolicy):
         if m_y == problem.agent.space.dimension:
             meaning = "the known input xi that led to the prediction of each target; 0 where none is known"
             found.append(Input(name="known_input", dtype="float32", shape=("b", "n", m_y), meaning=meaning))
@@ -141,13 +140,11 @@ def to_onnx(experiment: Experiment, policy: Policy, opset: int = DEFAULT_OPSET) 
     except ImportError as error:
         raise ValueError(f"exporting needs onnx ({error}): pip install 'foveate[onnx]'") from error
     from foveate.onnx_graph import Graph
-    from foveate.onnx_networks import attention, pointer, pooling
+    from foveate.onnx_networks import attention, pointer
 
     problem, graph = experiment.scenario.problem(), Graph()
     if isinstance(policy, AttentionPolicy):
         last = attention(graph, policy, problem.motion.state_size)
-    elif isinstance(policy, PoolingPolicy):
-        last = pooling(graph, policy, problem.motion.state_size, problem.motion.input_size)
     elif isinstance(policy, PointerPolicy):
         last = pointer(graph, policy, problem.motion.state_size, problem.motion.input_size)
     else:

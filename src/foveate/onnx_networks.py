@@ -7,7 +7,6 @@ from foveate.onnx_graph import Graph, body_inputs, features, logarithm, only_pre
 from foveate.policies.attention import AttentionPolicy
 from foveate.policies.inputs import HORIZON_STEPS, LAST_STEPS, LEAST_RANGE_M, MOST_UNITS, USUAL_TARGETS
 from foveate.policies.pointer import NEVER, PointerPolicy, SetEncoder
-from foveate.policies.pooling import PoolingPolicy
 
 
 def attention(graph: Graph, policy: AttentionPolicy, state_size: int) -> str:
@@ -33,7 +32,7 @@ def attention(graph: Graph, policy: AttentionPolicy, state_size: int) -> str:
     return hidden
 
 
-def set_encoder(graph: Graph, network: PoolingPolicy | SetEncoder, state_size: int, input_size: int) -> tuple[str, str]:
+def set_encoder(graph: Graph, network: SetEncoder, state_size: int, input_size: int) -> tuple[str, str]:
     """Every target by itself (b, n, e), from `rich_inputs`, and what each of h queries gathers of all (b, h e)."""
     d = network.space.dimension
     mean, information, turn = body_inputs(graph, network.space, state_size)
@@ -64,13 +63,6 @@ def set_encoder(graph: Graph, network: PoolingPolicy | SetEncoder, state_size: i
     scores = graph("Transpose", graph.dense(targets, query), perm=[0, 2, 1])
     size = np.asarray(query.bias).size * np.asarray(network.target_layers[-1].bias).size
     return targets, graph("Reshape", graph.gathered(targets, scores), [-1, size])
-
-
-def pooling(graph: Graph, policy: PoolingPolicy, state_size: int, input_size: int) -> str:
-    """Nodes of `PoolingPolicy`, up to its tanh."""
-    _, gathered = set_encoder(graph, policy, state_size, input_size)
-    *between, last = policy.out_layers
-    return graph.dense(graph.chain(gathered, between), last)
 
 
 def pointer(graph: Graph, policy: PointerPolicy, state_size: int, input_size: int) -> str:
