@@ -78,6 +78,7 @@ FLOORS = [
         "onnx_graph",
         "onnx_networks",
         "export",
+        "stonesoup_parts",
         "stonesoup",
         "view",
         "cli.*",

@@ -1,0 +1,359 @@
+"""The sensor manager in real Stone Soup runs: its Kalman filter, its managers and its geometry are the oracles."""
+
+import datetime
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
+
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.measurement.nonlinear import CartesianToElevationBearingRange
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity, RandomWalk
+from stonesoup.models.transition.nonlinear import ConstantTurn
+from stonesoup.platform import Platform
+from stonesoup.predictor.kalman import ExtendedKalmanPredictor, KalmanPredictor
+from stonesoup.sensor.radar.radar import RadarBearingRange
+from stonesoup.sensor.sensor import SimpleSensor
+from stonesoup.types.detection import Clutter
+from stonesoup.types.groundtruth import GroundTruthState
+from stonesoup.types.hypothesis import SingleHypothesis
+from stonesoup.types.state import GaussianState, State
+from stonesoup.types.track import Track
+from stonesoup.updater.kalman import KalmanUpdater
+
+from foveate.checkpoint import BEST, save_tree, write_config
+from foveate.geometry import fov
+from foveate.geometry.fov_spatial import frustum
+from foveate.geometry.space import Spatial
+from foveate.models import belief
+from foveate.models.agent import Agent
+from foveate.policies.handmade import handmade
+from foveate.problem import Policy
+from foveate.scenes import Scene
+from foveate.settings import PRESETS, Experiment
+from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of, state_order
+from foveate.tracker import Tracker
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "stonesoup.md"
+SOURCE = ROOT / "src" / "foveate"
+EXPERIMENT = runpy.run_path(str(ROOT / "experiments" / "stone_soup.py"))
+START, SECOND = datetime.datetime(2026, 1, 1), datetime.timedelta(seconds=1)
+PROBLEM = PRESETS["best"].scenario.problem()
+V = np.array([[0.04, 0.01], [0.01, 0.09]])
+PLAIN = {"ndim_state": 4, "position_mapping": (0, 2), "noise_covar": V}
+ORDER = [0, 2, 1, 3]
+"""Of Stone Soup's [x, vx, y, vy] to foveate's [x, y, vx, vy]."""
+
+
+def body_of(agent=PROBLEM.agent, state=(0.0, 0.0), mapping=(0, 1), yaw=0.0, **options):
+    orientation = np.array([[0.0], [0.0], [yaw]])
+    return BodyMovable(
+        states=State(list(state), timestamp=START),
+        position_mapping=mapping,
+        agent=agent,
+        orientation=orientation,
+        **options,
+    )
+
+
+def mounted(body, sensor=None, **options):
+    """A sensor, by default one with the preset's view, and the platform that carries it."""
+    given = {**PLAIN, "view": PROBLEM.sensor.view, "space": body.agent.space} | options
+    sensor = ViewSensor(**given) if sensor is None else sensor
+    return sensor, Platform(movement_controller=body, sensors=[sensor])
+
+
+def walking():
+    return CombinedLinearGaussianTransitionModel([ConstantVelocity(0.05), ConstantVelocity(0.02)])
+
+
+@jax.jit
+def ours(problem, mean, information, z, seen):
+    """One step of foveate's own filter for every target."""
+    mean = problem.motion.advance(mean, jnp.zeros((len(mean), 2)))
+    information = jax.vmap(belief.predict_information, (0, None))(information, problem.motion)
+    H, covariance = problem.sensor.H, problem.sensor.V
+    correct = jax.vmap(lambda p, P, z: belief.correct_mean(belief.Belief(p, P), z, H, covariance))
+    gain = problem.sensor.information(covariance)
+    mean = jnp.where(seen[:, None], correct(mean, information, z), mean)
+    return mean, jax.vmap(belief.update_information, (0, None, 0))(information, gain, seen.astype(float))
+
+
+@eqx.filter_jit
+def decide(policy, seen):
+    return policy(seen, policy.start(seen), jax.random.key(0))
+
+
+def in_triangle(pose, point):
+    """The preset's view, 2 m deep and 120 degrees wide, by its two inequalities."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    ahead, left = np.array([[c, s], [-s, c]]) @ (point - pose[:2])
+    return bool(ahead <= 2.0 and abs(left) <= np.tan(np.pi / 3) * ahead)
+
+
+def test_a_run_in_which_the_filters_agree():
+    """Every belief of Stone Soup's tracks, of foveate's filter and of its tracker, from the same detections."""
+    body = body_of()
+    sensor, platform = mounted(body, seed=5)
+    predictor, updater, P = KalmanPredictor(walking()), KalmanUpdater(None), np.diag([2.0, 0.3, 1.5, 0.2])
+    problem = problem_of(sensor, predictor, 1.0, P)
+    policy = handmade("nearest", problem, 2.0)
+    manager = PolicySensorManager(platforms={platform}, predictor=predictor, policy=policy, pad_to=5)
+    rng, tracker = np.random.default_rng(1), Tracker(problem, gate=None, forget_after_s=1e9)
+    truth = np.array([[2.0, 0.0, 1.0, 0.0], [-3.0, 0.0, 2.0, 0.0], [1.0, 0.0, -2.0, 0.0]])
+    tracks = [Track([GaussianState(row, P, timestamp=START)], id=str(i)) for i, row in enumerate(truth)]
+    first = P[np.ix_(ORDER, ORDER)]
+    for i, row in enumerate(truth):
+        tracker.add(i, row[[0, 2]], first)
+    mean, information = jnp.array(truth[:, ORDER]), jnp.tile(jnp.linalg.inv(first), (3, 1, 1))
+    updates = 0
+    for k in range(1, 16):
+        now = START + k * SECOND
+        ((actionable, (command,)),) = manager.choose_actions(set(tracks), now)[0].items()
+        tracker.predict()
+        seen = tracker.observation(platform.pose, 8)
+        wanted, _ = decide(policy, seen)
+        np.testing.assert_allclose(command.target_value, problem.agent.control(wanted), atol=1e-5)
+        actionable.add_actions((command,))
+        actionable.act(now)
+        truth = truth @ walking().matrix(time_interval=SECOND).T + rng.normal(0, 0.05, truth.shape)
+        found = [sensor.measure({GroundTruthState(row, timestamp=now)}) for row in truth]
+        inside = [in_triangle(body.pose, row[[0, 2]]) for row in truth]
+        assert [bool(detections) for detections in found] == inside
+        for track, detections in zip(tracks, found, strict=True):
+            predicted = predictor.predict(track.state, timestamp=now)
+            track.append(updater.update(SingleHypothesis(predicted, *detections)) if detections else predicted)
+        z = {i: np.array(detection.state_vector)[:, 0] for i, one in enumerate(found) for detection in one}
+        tracker.update(platform.pose, z)
+        rows = jnp.array([z.get(i, np.zeros(2)) for i in range(3)])
+        mean, information = ours(problem, mean, information, rows, jnp.array(inside))
+        theirs = np.array([np.asarray(track.state.mean)[ORDER, 0] for track in tracks])
+        spread = np.array([np.asarray(track.state.covar)[np.ix_(ORDER, ORDER)] for track in tracks])
+        for ours_mean, ours_spread in ((mean, jnp.linalg.inv(information)), (tracker.mean, tracker.covariance)):
+            np.testing.assert_allclose(ours_mean, theirs, atol=1e-9)
+            np.testing.assert_allclose(ours_spread, spread, atol=1e-9)
+        updates += sum(inside)
+    assert 8 < updates < 45
+
+
+def test_beside_stone_soups_own_managers():
+    """The experiment in small: with one sensor the greedy manager is the brute-force one."""
+    scene = Scene(
+        id="tiny-00", agent=(0.0, 0.0, 0.0), targets=((1.0, 0.5), (-6.0, 1.0)), drift=((0.0, 0.0),) * 2, horizon=6
+    )
+    policies, found, took = {"uncertain": handmade("uncertain", PROBLEM, 2.0)}, {}, {}
+    for name in ("uncertain", "brute force", "greedy"):
+        world = EXPERIMENT["World"](PROBLEM, scene, (3, 3), steers=name == "greedy")
+        found[name], seen, times = world.run(EXPERIMENT["manager_of"](name, policies, world, PROBLEM))
+        took[name] = np.median(times)
+        assert len(world.body.states) == 7
+        assert seen[:, 0].any()
+    np.testing.assert_allclose(found["greedy"], found["brute force"], rtol=1e-9)
+    assert found["uncertain"][-1].mean() > found["brute force"][-1].mean() + 1.0
+    assert took["uncertain"] < took["brute force"]
+
+
+def test_a_body_follows_its_commands():
+    """In the plane an arc; a command that has ended leaves the body as still as it can be."""
+    body = body_of(state=(1.0, 9.0, 2.0, 9.0), mapping=(0, 2), yaw=0.5)
+    (generator,) = body.actions(START + SECOND)
+    v, w = 2.0, -0.8
+    body.add_actions([generator.action_from_value(np.array([v, w]))])
+    for k, seconds in enumerate((0.25, 1.0, 3.0, 3.0)):
+        body.move(START + seconds * SECOND)
+        t = min(seconds, 1.0)
+        expected = [1 + v / w * (np.sin(0.5 + w * t) - np.sin(0.5)), 2 - v / w * (np.cos(0.5 + w * t) - np.cos(0.5))]
+        np.testing.assert_allclose(body.pose, [*expected, 0.5 + w * t], atol=1e-12)
+        assert len(body.states) == min(k + 2, 4)  # no time, no state
+    assert generator.action_from_value(np.array([2.0, -0.8])) in generator
+    assert np.array([4.1, 0.0]) not in generator
+    assert next(iter(generator)).target_value.tolist() == [0.0, -np.pi / 3]
+    assert len(list(generator)) == 25
+
+
+def test_a_body_and_its_view_in_space():
+    """Poses against scipy's exponential; what is in the frustum against the angles that Stone Soup measures itself."""
+    axes = tuple(range(6))
+    agent = Agent(space=Spatial(), axes=axes, lower=jnp.full(6, -3.0), upper=jnp.full(6, 3.0))
+    body = body_of(agent, (1.0, 2.0, 3.0), (0, 1, 2), levels=(2,) * 6)
+    sensor, _ = mounted(
+        body, ndim_state=3, position_mapping=(0, 1, 2), noise_covar=np.eye(3), view=frustum(0.5, 6.0, 1.4, 0.9)
+    )
+    rng, T, checked = np.random.default_rng(3), np.eye(4), []
+    T[:3, 3] = [1, 2, 3]
+    for k in range(1, 6):
+        u = rng.uniform(-1.5, 1.5, 6)
+        now = START + k * SECOND
+        (generator,) = body.actions(now)
+        body.add_actions([generator.action_from_value(u)])
+        body.move(now)
+        hat = np.zeros((4, 4))
+        hat[:3, :3], hat[:3, 3] = np.cross(np.eye(3), u[3:]), u[:3]
+        T = T @ expm(hat)
+        np.testing.assert_allclose(body.pose, T, atol=1e-9)
+        np.testing.assert_allclose(pose_of(sensor, Spatial())[:3, 0], T[:3, 0], atol=1e-9)
+        angles = CartesianToElevationBearingRange(
+            ndim_state=3,
+            mapping=(0, 1, 2),
+            noise_covar=np.eye(3),
+            translation_offset=body.position,
+            rotation_offset=body.orientation,
+        )
+        for point in T[:3, 3] + T[:3, 0] * 3 + rng.normal(0, 2.0, (20, 3)):
+            elevation, bearing, away = np.array(angles.function(State(point))[:, 0], float)
+            x = away * np.cos(elevation) * np.cos(bearing)
+            y, z = away * np.cos(elevation) * np.sin(bearing), away * np.sin(elevation)
+            inside = bool(0.5 <= x <= 6 and abs(y) <= x * np.tan(0.7) and abs(z) <= x * np.tan(0.45))
+            assert sensor.is_detectable(State(point)) == inside
+            assert sensor.is_clutter_detectable(Clutter(point)) == inside
+            checked.append(inside)
+    assert 10 < sum(checked) < 90
+
+
+class Ending(Policy):
+    """Drives the faster the nearer the end is, and turns to one side by chance."""
+
+    def __call__(self, observation, memory, key):
+        del memory
+        return jnp.stack([2 / observation.left - 1, jax.random.uniform(key)]), ()
+
+
+def test_the_end_and_chance():
+    body = body_of()
+    sensor, _ = mounted(body, steers=True)
+    given = {"sensors": {sensor}, "predictor": KalmanPredictor(walking()), "policy": Ending()}
+    track = Track([GaussianState(np.zeros(4), np.eye(4), timestamp=START)])
+    turns = []
+    for options, left in (({"end_time": START + 5 * SECOND}, [5, 4, 3]), ({"steps_left": 7, "seed": 1}, [7, 7, 7])):
+        manager = PolicySensorManager(**given, **options)
+        for k, steps in enumerate(left):
+            now = body.state.timestamp + SECOND
+            end = options.get("end_time")
+            steps = steps if end is None else round((end - body.state.timestamp) / SECOND)
+            assert k or steps == left[0]
+            ((actionable, (command,)),) = manager.choose_actions({track} if k else set(), now)[0].items()
+            assert actionable is sensor
+            np.testing.assert_allclose(command.target_value[0], 4 / steps, atol=1e-6)
+            turns.append(float(command.target_value[1]))
+            actionable.add_actions((command,))
+            actionable.act(now)
+            assert body.state.timestamp == now
+    assert len(set(turns)) == 6
+
+
+class Camera(SimpleSensor):
+    """A user's own: linear, with range and angle named as Stone Soup's radars name them."""
+
+    max_range, fov_angle = 7.0, 1.0
+    measurement_model = property(lambda self: LinearGaussian(ndim_state=2, mapping=(1, 0), noise_covar=V))
+
+    def is_detectable(self, state, measurement_model=None):
+        return True
+
+    is_clutter_detectable = is_detectable
+
+
+def test_the_world_is_taken_over():
+    body = body_of()
+    camera = Camera()
+    Platform(movement_controller=body, sensors=[camera])
+    model = CombinedLinearGaussianTransitionModel([RandomWalk(0.1), RandomWalk(0.4)])
+    problem = problem_of(camera, KalmanPredictor(model), 0.5, np.diag([2.0, 3.0]))
+    assert problem.agent is PROBLEM.agent
+    np.testing.assert_allclose(problem.sensor.V, V)
+    np.testing.assert_allclose(problem.sensor.H, np.eye(2))  # it measures y, x: as its state is read
+    np.testing.assert_allclose(problem.motion.W, np.diag([0.2, 0.05]))
+    np.testing.assert_allclose(problem.prior_information, np.diag([1 / 3, 1 / 2]))
+    np.testing.assert_allclose(problem.tau, 0.5)
+    assert eqx.tree_equal(problem.sensor.view, fov.sector(7.0, 1.0))
+
+
+def test_order_of_states():
+    assert state_order((0, 2), 4) == (0, 2, 1, 3)
+    assert state_order((0, 1), 4) == (0, 1, 2, 3)
+    assert state_order((2, 0), 4) == (2, 0, 3, 1)
+    assert state_order((0, 3), 6) == (0, 3, 1, 4, 2, 5)
+    assert state_order((0, 1, 2), 3) == (0, 1, 2)
+    for mapping, size in (((0, 1), 3), ((1, 2), 4), ((0, 0), 2)):
+        with pytest.raises(ValueError, match="position_mapping"):
+            state_order(mapping, size)
+
+
+def test_another_world_is_warned_of():
+    body = body_of(replace_limits(PROBLEM.agent))
+    view = fov.sector(3.0, 1.0)
+    plain = {"ndim_state": 2, "position_mapping": (0, 1), "noise_covar": 0.04 * np.eye(2)}
+    _, platform = mounted(body, view=view, **plain)
+    model = CombinedLinearGaussianTransitionModel([RandomWalk(0.05**2)] * 2)
+    given = {"policy": Ending(), "predictor": KalmanPredictor(model), "trained_for": PROBLEM}
+    with pytest.warns(UserWarning, match="another world: body and its limits, field of view$"):
+        PolicySensorManager(platforms={platform}, **given)
+    _, platform = mounted(body_of(), **plain)
+    PolicySensorManager(platforms={platform}, **given)  # no warning, or this test fails
+
+
+def replace_limits(agent):
+    return Agent(space=agent.space, axes=agent.axes, lower=agent.lower, upper=2 * agent.upper)
+
+
+def test_what_has_no_place_is_said_in_one_line():
+    linear, given = KalmanPredictor(walking()), {"policy": Ending()}
+
+    def refused(match, platforms=(), sensors=(), predictor=linear):
+        with pytest.raises(ValueError, match=match) as caught:
+            PolicySensorManager(platforms=set(platforms), sensors=set(sensors), predictor=predictor, **given)
+        assert "\n" not in str(caught.value)
+
+    radar = RadarBearingRange(ndim_state=4, position_mapping=(0, 2), noise_covar=np.eye(2))
+    refused(
+        "RadarBearingRange has a CartesianToBearingRange: expected a linear-Gaussian", [mounted(body_of(), radar)[1]]
+    )
+    turning = ExtendedKalmanPredictor(ConstantTurn([0.1, 0.1], 0.1))
+    refused("ExtendedKalmanPredictor has a ConstantTurn: expected", [mounted(body_of())[1]], predictor=turning)
+    fixed = ViewSensor(**PLAIN, view=PROBLEM.sensor.view, space=PROBLEM.agent.space, position=np.zeros((2, 1)))
+    refused("carried by FixedMovable: expected a BodyMovable", sensors=[fixed])
+    refused("0 sensors: expected one")
+    refused("platforms is empty", sensors=[mounted(body_of())[0]])
+    refused("has an offset", [mounted(body_of(), mounting_offset=np.array([[1.0], [0.0]]))[1]])
+    with pytest.raises(ValueError, match="expected 2 entries"):
+        body_of(state=(0.0, 0.0, 0.0), mapping=(0, 1, 2))
+    with pytest.raises(ValueError, match=r"levels = \(3,\): expected 2 numbers"):
+        body_of(levels=(3,))
+    manager = PolicySensorManager(platforms={mounted(body_of())[1]}, predictor=linear, **given)
+    with pytest.raises(ValueError, match="nchoose = 2"):
+        manager.choose_actions(set(), START + SECOND, nchoose=2)
+    bare = Track([State(np.zeros(4), timestamp=START)], id="a")
+    with pytest.raises(ValueError, match="track a: State: expected a Gaussian state"):
+        manager.choose_actions({bare}, START + SECOND)
+
+
+def test_without_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "stonesoup", None)
+    with pytest.raises(ImportError, match=r"pip install 'foveate\[stonesoup\]'"):
+        runpy.run_path(str(SOURCE / "stonesoup_parts.py"))
+
+
+def test_the_page_runs(tmp_path, monkeypatch):
+    """docs/stonesoup.md, with the first weights of the paper's network: a body that moves within its limits."""
+    run, experiment = tmp_path / "runs" / "first", Experiment()
+    (run / BEST).parent.mkdir(parents=True)
+    write_config(run, experiment)
+    policy = experiment.policy.policy(PROBLEM, jax.random.key(0))
+    save_tree(run / BEST, policy, experiment, "policy", {})
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    names = {}
+    exec(compile(block, str(PAGE), "exec"), names)
+    way = np.diff([np.array(state.state_vector)[:, 0] for state in names["body"].states], axis=0)
+    assert len(way) == 6
+    assert 0 < np.linalg.norm(way, axis=1).max() <= 4.0
