@@ -13,6 +13,7 @@ from typing import Any
 
 from foveate.closeness import ceiling_rows
 from foveate.evaluation import Row, Suite, evaluate
+from foveate.learner_settings import ActorCriticSettings
 from foveate.planned import planner, planner_rows
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
 from foveate.policies.handmade import METHODS as HANDMADE
@@ -148,7 +149,8 @@ class Omniscient(Method):
 LEARNERS = ("paper", "best", *PPO)
 """Presets that the paper's suite compares, and the paper's trained by PPO, where that is installed."""
 QUICK_LEARNERS = ("paper", "ppo")
-QUICK_EPOCHS, QUICK_STEPS = 300, 40_000
+QUICK_EPOCHS, QUICK_STEPS, QUICK_TRIES = 300, 40_000, 40
+"""Epochs of the policy gradient, steps of PPO, epochs of who learns by trying."""
 STARTS, QUICK_STARTS = (1, 4, 16, 64), ()
 """Budgets of the planner that plans anew at every step."""
 REFINED_BY = 15
@@ -205,8 +207,10 @@ def _training(name: str, quick: bool) -> Training:
     """A learner; a quick one is cut short."""
     experiment = with_learner(PRESETS["paper"], PPO[name]) if name in PPO else PRESETS[name]
     if quick:
-        short = {"steps": QUICK_STEPS} if name in PPO else {"epochs": QUICK_EPOCHS}
-        experiment = replace(experiment, training=replace(experiment.training, **short))
+        training = experiment.training
+        epochs = QUICK_TRIES if isinstance(training, ActorCriticSettings) else QUICK_EPOCHS
+        short = {"steps": QUICK_STEPS} if name in PPO else {"epochs": epochs}
+        experiment = replace(experiment, training=replace(training, **short))
     return Training(name=name, experiment=experiment)
 
 

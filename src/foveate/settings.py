@@ -35,7 +35,7 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
         raise ValueError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
     names = [each.name for each in fields(LearningSettings)]
     shared = {name: getattr(now, name) for name in names if hasattr(now, name) and hasattr(learner, name)}
-    if isinstance(learner, ActorCriticSettings):
+    if not isinstance(learner, PPOSettings):
         shared["objective"] = now.objective
     policy = experiment.policy
     if isinstance(learner, ActorCriticSettings) != isinstance(policy, PointerSettings):

@@ -13,7 +13,7 @@ from foveate.checkpoint import BEST, load_run
 from foveate.episodes import training_episode
 from foveate.learner_settings import ActorCriticSettings
 from foveate.learning import actor_critic
-from foveate.learning.actor_critic import Batch, advantages, entropy, log_density, loss, tries
+from foveate.learning.actor_critic import Samples, advantages, entropy, log_density, loss, tries
 from foveate.learning.judging import held_out_episodes, judge
 from foveate.learning.training import train
 from foveate.policies.attention import AttentionSettings
@@ -122,7 +122,7 @@ def test_loss_is_ppo_s_clipped_one():
     rows = len(tried.reward)
     old = np.asarray(tried.log_density) + rng.normal(0, 0.4, rows)  # as if the policy had moved on since
     advantage, earned, counts = rng.normal(size=rows), rng.normal(size=rows), np.arange(rows) % 3 > 0
-    batch = Batch(tried.observation, tried.action, *map(jnp.asarray, (old, advantage, earned, counts)))
+    batch = Samples(tried.observation, tried.action, *map(jnp.asarray, (old, advantage, earned, counts)))
     value, modes = jax.vmap(critic)(tried.observation), jax.vmap(policy.modes)(tried.observation)
     total = 0.0
     for i in np.flatnonzero(counts):

@@ -26,7 +26,7 @@ class Reproduce:
     makes anew only what depends on them.
 
       foveate reproduce --quick                        # minutes: short training, few scenes; a look, not a result
-      foveate reproduce                                # the whole of it: an hour or so on 2 cores
+      foveate reproduce                                # the whole of it: an hour and a half or so on 2 cores
       foveate reproduce --suite true-view              # where only what is really seen counts
       foveate reproduce --scene-seed 7 --out runs/reproduce-7     # the same on scenes that nobody has seen
       foveate reproduce --add examples/own_method.py:METHOD       # with a method of your own beside the others

@@ -56,7 +56,7 @@ class Tries(NamedTuple):
     counts: Bool[Array, " K"]
 
 
-class Batch(NamedTuple):
+class Samples(NamedTuple):
     """Steps of many episodes, to learn from in any order."""
 
     observation: Observation
@@ -165,7 +165,7 @@ def advantages(
 
 def gather(
     problem: Problem, scenes: SceneSettings, settings: ActorCriticSettings, learner: Learner, spread: Scalar, key: Key
-) -> tuple[Batch, Scalar]:
+) -> tuple[Samples, Scalar]:
     """Play a batch of fresh episodes; all their steps in a row, and what the episodes were worth in the mean."""
     policy, critic = _networks(learner)
     share, played = settings.episodes // len(settings.protocols), []
@@ -182,9 +182,11 @@ def gather(
     advantage = jax.vmap(advantages, (0, 0, 0, None))(every.reward, value, every.counts, settings.gae_lambda)
     middle, scale = (of(advantage, where=every.counts) for of in (jnp.mean, jnp.std))
     scaled = (advantage - middle) / (scale + 1e-8)
-    batch = Batch(every.observation, every.action, every.log_density, scaled, advantage + value, every.counts)
+    samples = Samples(every.observation, every.action, every.log_density, scaled, advantage + value, every.counts)
     begins = log_det_spd(problem.prior_information) if settings.objective == "terminal" else 0.0
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch), begins + jnp.mean(jnp.sum(every.reward, axis=-1))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples), begins + jnp.mean(
+        jnp.sum(every.reward, axis=-1)
+    )
 
 
 def _networks(learner: Learner) -> tuple[PointerPolicy, Critic]:
@@ -193,7 +195,7 @@ def _networks(learner: Learner) -> tuple[PointerPolicy, Critic]:
     return learner.policy, learner.critic
 
 
-def loss(policy: PointerPolicy, critic: Critic, rows: Batch, spread: Scalar, settings: ActorCriticSettings) -> Scalar:
+def loss(policy: PointerPolicy, critic: Critic, rows: Samples, spread: Scalar, settings: ActorCriticSettings) -> Scalar:
     """The clipped surrogate loss of PPO, the choice's entropy, and the critic's squared error, over rows that count."""
     modes = jax.vmap(policy.modes)(rows.observation)
     ratio = jnp.exp(jax.vmap(log_density, (0, 0, None))(modes, rows.action, spread) - rows.log_density)
@@ -211,7 +213,7 @@ def epoch(
     play_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     first, last = settings.spread
     spread = first + (last - first) * learner.epoch / settings.epochs
-    batch, earned = gather(problem, scenes, settings, learner, spread, play_key)
+    samples, earned = gather(problem, scenes, settings, learner, spread, play_key)
     parameters, rest = eqx.partition(_networks(learner), eqx.is_inexact_array)
     # In each pass rows that count come first, in a new order; a minibatch has one size, whatever the batch.
     steps = math.ceil(settings.episodes * scenes.mean_horizon)
@@ -224,9 +226,9 @@ def epoch(
     def update(i, carry):
         parameters, state, largest = carry
         turn, part = i // settings.minibatches, i % settings.minibatches
-        chance = jax.random.uniform(jax.random.fold_in(order_key, turn), batch.counts.shape)
-        order = jnp.argsort(jnp.where(batch.counts, chance, 2.0))
-        rows = jax.tree.map(lambda x: x[jax.lax.dynamic_slice_in_dim(order, part * size, size)], batch)
+        chance = jax.random.uniform(jax.random.fold_in(order_key, turn), samples.counts.shape)
+        order = jnp.argsort(jnp.where(samples.counts, chance, 2.0))
+        rows = jax.tree.map(lambda x: x[jax.lax.dynamic_slice_in_dim(order, part * size, size)], samples)
         gradient = jax.grad(cost)(parameters, rows)
         updates, state = optimizer(settings).update(gradient, state, parameters)
         return eqx.apply_updates(parameters, updates), state, jnp.maximum(largest, optax.tree.norm(gradient[0]))

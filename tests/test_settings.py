@@ -1,0 +1,54 @@
+"""Experiments that change their learner: what is after stays, and the network is one that the learner can train."""
+
+from dataclasses import replace
+
+import pytest
+
+from foveate.cli.main import main
+from foveate.learner_settings import ActorCriticSettings, TrainingSettings
+from foveate.learning.training import train
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.pointer import PointerSettings
+from foveate.scenario import Scenario
+from foveate.settings import PPO, PRESETS, Experiment, with_learner
+from foveate.view_settings import SectorView
+
+TRYING = ActorCriticSettings(algorithm="actor-critic")
+STREET = Experiment(
+    scenario=Scenario(view=SectorView(shape="sector", depth_m=8.0, angle_deg=90.0)),
+    policy=AttentionSettings(length_m=8.0),
+    training=TrainingSettings(objective="seen", select="true", held_out=7, softness=((1.0, 2.0),), noise=True),
+)
+
+
+def test_a_learner_brings_a_network_that_it_can_train():
+    tried = with_learner(STREET, TRYING)
+    assert tried.training == replace(TRYING, objective="seen", select="true", held_out=7)
+    assert tried.policy == PointerSettings(kind="pointer", length_m=20.0)
+    assert tried.scenario == STREET.scenario
+    back = with_learner(tried, TrainingSettings())
+    assert back.training == TrainingSettings(objective="seen", select="true", held_out=7)
+    assert back.policy == AttentionSettings()
+    assert with_learner(STREET, TrainingSettings()).policy == STREET.policy
+    with pytest.raises(ValueError, match="expected 'terminal'"):
+        with_learner(tried, PPO["ppo"])
+
+
+def test_the_policy_gradient_refuses_a_network_of_modes(tmp_path):
+    with pytest.raises(ValueError, match="actor-critic"):
+        train(Experiment(policy=PointerSettings(kind="pointer")), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_two_experiments_at_once_are_refused(tmp_path, capsys):
+    config = tmp_path / "own.toml"
+    config.write_text("")
+    assert main(["train", "--preset", "best", "--config", str(config), "--out", str(tmp_path / "a")]) == 2
+    assert "give one of them" in capsys.readouterr().err
+    assert main(["train", "--preset", "best", "--resume", str(tmp_path)]) == 2
+    assert "--preset and --resume" in capsys.readouterr().err
+
+
+def test_presets_that_learn_by_trying_have_a_network_with_modes():
+    for experiment in PRESETS.values():
+        assert isinstance(experiment.training, ActorCriticSettings) == isinstance(experiment.policy, PointerSettings)
