@@ -28,6 +28,7 @@ from foveate import view, view_chart, view_stage
 from foveate.cli.main import main
 from foveate.film import SUBSTEPS, Film
 from foveate.geometry.space import SPACES
+from foveate.scenes import Scene, write_scenes
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -163,21 +164,24 @@ def failure(capsys, *arguments):
 
 
 def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
+    scenes, page = tmp_path / "scenes.json", tmp_path / "page.html"
+    write_scenes(scenes, [Scene(id="a", agent=(0.0,) * 3, targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=2)])
+    few = ("paper", "--scenes", scenes)
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        # A scene is simulated only when the page is there.
-        assert f"--port {port}: is in use" in failure(capsys, "paper", "--port", port)
-    assert "--port 70000" in failure(capsys, "paper", "--port", 70000)
-    assert "ends in .html" in failure(capsys, "paper", "--record", tmp_path / "page.htm")
-    assert "expected one of them" in failure(capsys, "paper", "--scenes", "own", "--recording", "x.csv")
-    assert "no such scene in table1" in failure(capsys, "paper", "--scene", "nowhere")
-    assert "without a trained policy" in failure(capsys, "paper", "--method", "policy")
-    assert "--method best" in failure(capsys, "paper", "--method", "best")
+        assert f"--port {port}: is in use" in failure(capsys, *few, "--port", port)
+    assert "--port 70000" in failure(capsys, *few, "--port", 70000)
+    assert "ends in .html" in failure(capsys, *few, "--record", tmp_path / "page.htm")
+    assert "expected one of them" in failure(capsys, *few, "--recording", "x.csv")
+    assert f"no such scene in {scenes}: expected a, say" in failure(capsys, *few, "--scene", "nowhere")
+    assert "without a trained policy" in failure(capsys, *few, "--method", "policy")
+    assert "--method best" in failure(capsys, *few, "--method", "best")
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert "pip install 'foveate[view]'" in failure(capsys, "paper")
-    assert not list(tmp_path.iterdir())
+    assert "pip install 'foveate[view]'" in failure(capsys, *few)
+    assert "pip install 'foveate[view]'" in failure(capsys, *few, "--method", "still", "--record", page)
+    assert [path.name for path in tmp_path.iterdir()] == ["scenes.json"]
 
 
 class Browser:
@@ -190,7 +194,7 @@ class Browser:
             *FLAGS,
             f"--user-data-dir={folder}",
             "--remote-debugging-port=0",
-            "--window-size=900,600",
+            "--window-size=1000,1000",
         ]
         self._process = subprocess.Popen(
             [*arguments, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -211,13 +215,16 @@ class Browser:
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": options}))
         while (answer := json.loads(self._socket.recv(timeout=120))).get("id") != self._count:
             pass
-        return answer["result"]
+        return answer.get("result", {})
 
     def run(self, script):
-        return self.ask("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
+        return self.ask("Runtime.evaluate", expression=script, returnByValue=True).get("result", {}).get("value")
 
     def picture(self) -> np.ndarray:
-        data = base64.b64decode(self.ask("Page.captureScreenshot")["data"])
+        found = {}
+        # There is none while a page is being loaded.
+        wait_for(lambda: found.update(self.ask("Page.captureScreenshot")) or "data" in found)
+        data = base64.b64decode(found["data"])
         return np.asarray(Image.open(BytesIO(data)).convert("RGB")).astype(int)
 
     def close(self) -> None:
@@ -261,6 +268,7 @@ def test_a_written_page_plays_without_a_server(browser, tmp_path):
 
     wait_for(drawn)
     wait_for(lambda: pixels(last := browser.picture(), GREEN) > 20 and pixels(last, VERMILLION) < 20)
+    if "SHOTS" in __import__("os").environ: Image.fromarray(browser.picture().astype("uint8")).save("/tmp/t_page.png"); Image.fromarray(first[0].astype("uint8")).save("/tmp/t_page0.png")
 
 
 def test_a_live_page_follows_its_panel(browser):
@@ -287,7 +295,7 @@ def test_a_live_page_follows_its_panel(browser):
         assert "nearest on one" in browser.run(text)
         before = player._moment
         assert before > 10 * SUBSTEPS
-        browser.run("document.querySelector('input[type=checkbox]').click()")
+        browser.run("[...document.querySelectorAll('.mantine-Checkbox-input')].at(-1).click()")
         wait_for(lambda: player._play.value is False)
         player.tick(5.0)
         assert player._moment == before
@@ -300,3 +308,4 @@ def test_a_live_page_follows_its_panel(browser):
         assert asked[-1] == ("one", "still")
         wait_for(lambda: "still on one" in browser.run(text))
         wait_for(lambda: pixels(browser.picture(), VERMILLION) > 50)
+        if "SHOTS" in __import__("os").environ: Image.fromarray(browser.picture().astype("uint8")).save("/tmp/t_live.png")

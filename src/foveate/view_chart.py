@@ -49,7 +49,7 @@ def facts(film: Film, moment: int) -> dict[str, str]:
 
 
 class Board:
-    """The curves as a board that stands behind the scene, and the facts as a label above it."""
+    """The curves as a board that stands behind the scene, and time, score and who is seen as a label above it."""
 
     def __init__(self, scene: Any, film: Film, box: Float[np.ndarray, "2 3"]) -> None:
         self._film, self._curves = film, curves(film)
@@ -69,7 +69,7 @@ class Board:
             value, position = low + share * (high - low), corner + np.array([0, 0, share * height])
             scene.add_label(f"/board/{i}", f"{value:.1f}", position=position, anchor="center-right", **text)
         unit = "log det of information of each target, and their mean (black) [nat], over time"
-        text["font_scene_height"] = 0.035 * width
+        text["font_scene_height"] = 0.03 * width
         scene.add_label("/board/unit", unit, position=corner + np.array([0, 0, -0.02 * width]), **text)
         none = np.zeros((1, 2, 3))
         self._each = scene.add_line_segments("/board/each", none, color(GREY), thickness=1.5, **wide)
@@ -89,4 +89,5 @@ class Board:
             handle.visible = bool(len(drawn))
             if len(drawn):
                 handle.points = drawn
-        self._label.text = " · ".join(f"{name} {value}" for name, value in facts(self._film, moment).items())
+        told = facts(self._film, moment)
+        self._label.text = " · ".join(f"{name} {told[name]}" for name in ("time", "score so far", "seen now"))
