@@ -312,9 +312,9 @@ def test_a_study_that_makes_no_sense_is_refused(changes, message):
 def test_the_papers_methods_hold_every_kind():
     for quick in (False, True):
         methods = {method.name: method for method in paper_methods(quick)}
-        assert {"omniscient", "paper", "refine-10", "icr", "nearest", "uncertain", "lawnmower"} <= set(methods)
+        assert {"omniscient", "paper", "refine-15", "icr", "nearest", "uncertain", "lawnmower"} <= set(methods)
         assert reference(quick) in methods
-        refined = methods["refine-10"].training
+        refined = methods["refine-15"].training
         assert refined is methods[reference(quick)].training
         # What stands in the units' keys can be written as JSON.
         assert json.dumps([method.settings("true") for method in methods.values()])

@@ -151,7 +151,7 @@ QUICK_LEARNERS = ("paper", "ppo")
 QUICK_EPOCHS, QUICK_STEPS = 300, 40_000
 STARTS, QUICK_STARTS = (1, 4, 16, 64), ()
 """Budgets of the planner that plans anew at every step."""
-REFINED_BY = 10
+REFINED_BY = 15
 
 
 def paper_methods(quick: bool = False) -> tuple[Method, ...]:
@@ -161,12 +161,7 @@ def paper_methods(quick: bool = False) -> tuple[Method, ...]:
     return (
         Omniscient(),
         *(Learned(name=training.name, training=training) for training in trainings),
-        Planned(
-            name=f"refine-{REFINED_BY}",
-            family="trained, refined",
-            training=refined,
-            plans={protocol: refining(protocol, REFINED_BY) for protocol in PROTOCOLS},
-        ),
+        _refined(refined),
         Planned(name="icr", plans=dict.fromkeys(PROTOCOLS, PUBLISHED)),
         *(
             Planned(name=f"icr-{starts}", plans={name: replace(plan, starts=starts) for name, plan in ONLINE.items()})
@@ -174,6 +169,12 @@ def paper_methods(quick: bool = False) -> tuple[Method, ...]:
         ),
         *(_by_hand(name) for name in HANDMADE),
     )
+
+
+def _refined(training: Training) -> Planned:
+    """A trained policy, improved by a planner at every step."""
+    plans = {protocol: refining(protocol, REFINED_BY) for protocol in PROTOCOLS}
+    return Planned(name=f"refine-{REFINED_BY}", family="trained, refined", training=training, plans=plans)
 
 
 TRUE_VIEW = "true-view"
@@ -185,9 +186,11 @@ CHANGED_WORLDS = ("omniscient", TRUE_VIEW, "uncertain", "nearest")
 def true_view_methods(quick: bool = False) -> tuple[Method, ...]:
     """All that is compared where a target counts only when it is really seen."""
     icr, many = PUBLISHED, replace(ONLINE["true"], starts=16)
+    paper, ours = (_training(name, quick) for name in ("paper", TRUE_VIEW))
     return (
         Omniscient(),
-        *(Learned(name=name, training=_training(name, quick)) for name in ("paper", TRUE_VIEW)),
+        *(Learned(name=training.name, training=training) for training in (paper, ours)),
+        *(() if quick else (_refined(ours),)),
         *(Planned(name=name, plans={"true": plan}) for name, plan in (("icr", icr), ("icr-16", many)) if not quick),
         *(_by_hand(name) for name in HANDMADE),
     )

@@ -27,7 +27,7 @@ class Plan:
 
       foveate plan --scenes table1 --omniscient
       foveate plan --scenes table1 --starts 16 --protocol true --json plan.json
-      foveate plan --scenes table1 --run runs/first --refine 10
+      foveate plan --scenes table1 --run runs/first --refine 15
     """
 
     scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
@@ -106,7 +106,7 @@ class Plan:
         if self.omniscient and (self.open_loop or self.refine is not None):
             raise ValueError("--omniscient: needs no --open-loop and no --refine: it knows the future")
         if self.refine is not None and (self.open_loop or self.starts is not None or self.iterations is not None):
-            raise ValueError("--refine N: takes N steps from the policy's own sequence; no other option of plans fits")
+            raise ValueError("--refine N: begins at the policy's own sequence; no other option of plans fits")
 
     def _experiment(self) -> "Experiment":
         from foveate.cli.common import experiment_of
@@ -167,7 +167,7 @@ class Plan:
         return settings
 
     def _name(self) -> str:
-        """The method's name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-10."""
+        """The method's name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-15."""
         if self.refine is not None:
             return f"refine-{self.refine}"
         many = "" if self.starts is None else f"-{self.starts}"

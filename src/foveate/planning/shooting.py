@@ -71,9 +71,18 @@ ONLINE = {
 soft view says better than the real one what is worth keeping."""
 
 
+REFINING = {
+    "surrogate": PlanSettings(starts=8, iterations=15, learning_rate=0.06, last=PAPER, keep=PAPER),
+    "true": PlanSettings(
+        starts=8, iterations=15, learning_rate=0.06, first=(1.0, 0.4), last=(0.0, 0.15), keep=(0.0, 0.15)
+    ),
+}
+"""For a policy that is improved at every step: from what it would do, from the last plan, and from a few tours."""
+
+
 def refining(protocol: str, steps: int) -> PlanSettings:
-    """Online plans that take so many steps from two starts: what a policy would do, and the last plan."""
-    return replace(ONLINE[protocol], starts=2, iterations=steps)
+    """Online plans that take so many steps from what a policy would do, the last plan, and tours."""
+    return replace(REFINING[protocol], iterations=steps)
 
 
 class Plan(eqx.Module):
