@@ -6,6 +6,7 @@ A page is served at 127.0.0.1 and nowhere else, and its button to share it with 
 import contextlib
 import io
 import itertools
+import logging
 import socket
 import threading
 import time
@@ -19,7 +20,7 @@ import numpy as np
 from foveate.drawing import BLACK, CYCLE, describe
 from foveate.files import write_atomic
 from foveate.film import SUBSTEPS, Film
-from foveate.view_chart import MOST_CURVES, Board, curves, facts, span
+from foveate.view_chart import LEGEND, MOST_CURVES, Board, curves, facts, span
 from foveate.view_stage import Diorama
 
 HOST = "127.0.0.1"
@@ -127,6 +128,7 @@ class Player:
         self._step = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
         steps = gui.add_button_group("one step", ("back", "ahead"))
         self._title, self._facts = gui.add_markdown(""), gui.add_markdown("")
+        gui.add_markdown(f"*{LEGEND}*")
         self._chart: Any = None
 
         @self._step.on_update
@@ -195,8 +197,12 @@ class Player:
 
 
 def _data(film: Film, values: np.ndarray, k: int) -> tuple[np.ndarray, ...]:
-    """Times and curves up to step k."""
-    return (film.times_s[1 : k + 1], *values[:k].T)
+    """Times and curves up to step k; where a target is not there its curve is below the chart.
+
+    Across NaN the page would draw a straight line, as if it were known what was there.
+    """
+    low, high = span(values)
+    return (film.times_s[1 : k + 1], *np.where(np.isfinite(values[:k]), values[:k], 2 * low - high).T)
 
 
 def _chart(gui: Any, film: Film, values: np.ndarray) -> Any:
@@ -213,12 +219,15 @@ def _chart(gui: Any, film: Film, values: np.ndarray) -> Any:
         tuple(series),
         title="log det of information [nat]",
         scales={"x": {"time": False, "range": (0.0, float(film.times_s[-1]))}, "y": {"range": span(values)}},
+        legend={"live": False, "show": bool(film.present.all())},
         aspect=1.3,
     )
 
 
 def serve(programme: Programme, port: int, say: Callable[[str], None] = print) -> None:
     """Serve the page at 127.0.0.1 until interrupted. Raises ValueError for a port that is taken, or without viser."""
+    # A browser that opens a connection and thinks better of it is not worth a traceback.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     with _server(port) as server:
         player = Player(server, programme)
         player.tick(0.0)

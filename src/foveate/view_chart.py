@@ -9,6 +9,7 @@ from foveate.drawing import BLACK, GREY
 from foveate.film import SUBSTEPS, Film
 from foveate.view_stage import color, segments
 
+LEGEND = "beliefs (95 %): green, thick: seen now; orange, thin: not seen now; black: where targets really are"
 MOST_CURVES = 20
 """Of more targets than that only the mean is drawn."""
 TICKS = 4
@@ -31,21 +32,22 @@ def span(values: Float[np.ndarray, "*m"]) -> tuple[float, float]:
 
 
 def facts(film: Film, moment: int) -> dict[str, str]:
-    """Time, step, score so far, who is seen now and who ever was."""
+    """Time, step, score so far, who is seen now, for how long targets were, and, where all stay, who ever was."""
     k = moment // SUBSTEPS
     time_s = float(np.interp(moment / SUBSTEPS, np.arange(film.steps + 1), film.times_s))
     here = film.present[k]
     now = int((film.seen_at(k) & here).sum())
     seen = film.visible[:k] & film.counted[:k]
     score = curves(film)[k - 1, 0] if k else np.nan
-    return {
+    told = {
         "time": f"{time_s:.1f} of {film.times_s[-1]:.1f} s",
         "step": f"{k} of {film.steps}",
         "score so far": f"{score:.2f} nat per target" if np.isfinite(score) else "-",
         "seen now": f"{now} of {here.sum()}",
-        "ever seen": f"{seen.any(axis=0).sum()} of {film.counted.any(axis=0).sum()}",
         "of the time": f"{seen.sum() / max(1, film.counted[:k].sum()):.0%}",
     }
+    # Where targets come and go, a column may serve several.
+    return told | {"ever seen": f"{seen.any(axis=0).sum()} of {film.targets}"} if film.present.all() else told
 
 
 class Board:
@@ -56,7 +58,8 @@ class Board:
         low, high = span(self._curves)
         width = float(np.ptp(box[:, 0]))
         height = 0.35 * width
-        corner = np.array([box[0, 0], box[1, 1] + 0.12 * np.ptp(box[:, 1]), box[0, 2]])
+        # It stands on the floor of a planar scene, and hangs over one of space.
+        corner = np.array([box[0, 0], box[1, 1] + 0.25 * np.ptp(box[:, 1]), box[1, 2]])
         steps = film.times_s / (film.times_s[-1] or 1.0)
         self._corner, self._across, self._up = corner, width * steps, height
         self._share = (self._curves - low) / (high - low)
@@ -70,7 +73,9 @@ class Board:
             scene.add_label(f"/board/{i}", f"{value:.1f}", position=position, anchor="center-right", **text)
         unit = "log det of information of each target, and their mean (black) [nat], over time"
         text["font_scene_height"] = 0.03 * width
-        scene.add_label("/board/unit", unit, position=corner + np.array([0, 0, -0.02 * width]), **text)
+        for i, line in enumerate((unit, LEGEND)):
+            below = corner + np.array([0, 0, -(0.02 + 0.045 * i) * width])
+            scene.add_label(f"/board/text/{i}", line, position=below, **text)
         none = np.zeros((1, 2, 3))
         self._each = scene.add_line_segments("/board/each", none, color(GREY), thickness=1.5, **wide)
         self._mean = scene.add_line_segments("/board/mean", none, color(BLACK), thickness=3.0, **wide)

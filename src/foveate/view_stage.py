@@ -109,6 +109,8 @@ class Diorama:
         unit = disc() if planar else ball()
         rings = [lifted(CIRCLE)] if planar else [np.roll(lifted(CIRCLE), turn, axis=1) for turn in range(3)]
         border = np.concatenate([segments(ring) for ring in rings])
+        # Shadows tell how high things are.
+        scene.configure_default_lights(cast_shadow=not planar)
         self._floor(extent)
         self._agent = scene.add_frame("/agent", show_axes=False)
         view, dart = view_mesh(film), (self.size * DART, np.array(DART_FACES))
@@ -144,8 +146,8 @@ class Diorama:
     def camera(self) -> tuple[np.ndarray, np.ndarray]:
         """Where to look at the whole from, and at what [m]."""
         middle = self.box.mean(axis=0)
-        steep = 1.35 if self.film.space.dimension == 2 else 0.75
-        return middle + np.ptp(self.box, axis=0).max() * np.array([-0.15, -0.85, steep]), middle
+        steep = 1.1 if self.film.space.dimension == 2 else 0.35
+        return middle + np.ptp(self.box, axis=0).max() * np.array([-0.12, -0.7, steep]), middle
 
     def show(self, moment: int) -> None:
         """Move everything to a moment of the film."""
@@ -170,6 +172,8 @@ class Diorama:
                 each.position, each.wxyz, each.scale = mean[i], turn, lengths
             self._beliefs[i].color = self._means[i].color = tint
             self._borders[i].colors = np.array(tint, np.uint8)
+            # Colour is not all that tells them apart.
+            self._borders[i].thickness = 4.0 if now.seen[i] else 1.5
             self._means[i].position, self._targets[i].position = mean[i], truth[i]
 
     def _set_line(self, handle: Any, points: np.ndarray) -> None:

@@ -103,13 +103,15 @@ class View:
         return Programme(scenes=tuple(dict.fromkeys((*first, *by_id))), methods=self._methods(), film=make)
 
     def _recorded(self, experiment: "Experiment") -> "Programme":
+        import sys
+
         import jax.numpy as jnp
         import numpy as np
 
         from foveate.cli.common import policy_of
         from foveate.film import Film, film
         from foveate.recorded import load_recording, window
-        from foveate.replay import default_agent_start, prepare_replay, replay
+        from foveate.replay import default_agent_start, prepare_replay, replay, warnings_for
         from foveate.view import Programme
 
         assert self.recording is not None, "called with a recording only"
@@ -119,10 +121,12 @@ class View:
         box = jnp.asarray(np.stack(recording.extent), float)
         start = default_agent_start(recording, experiment.scenario)
         ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed)
+        for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
+            print(f"warning: {line}", file=sys.stderr)
 
         def make(scene: str, method: str) -> Film:
             _, trace = replay(ready, method, policy_of(self.run, method, experiment, box))
             steps, columns = trace.visible.shape
             return film(ready.problem, trace, ready.truth, steps, columns, f"{method} on {scene}")
 
-        return Programme(scenes=(recording.name,), methods=self._methods(), film=make)
+        return Programme(scenes=(self.recording.name,), methods=self._methods(), film=make)
