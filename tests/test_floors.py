@@ -80,6 +80,8 @@ FLOORS = [
         "export",
         "stonesoup_parts",
         "stonesoup",
+        "view_stage",
+        "view_chart",
         "view",
         "cli.*",
     ],

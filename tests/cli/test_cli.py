@@ -61,7 +61,7 @@ def test_help_needs_no_jax_and_names_every_command() -> None:
     code = "import sys\nfrom foveate.cli.main import main\ntry: main(['--help'])\nfinally: print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("False")
-    for command in ("train", "evaluate", "plan", "fit", "replay", "render", "export"):
+    for command in ("train", "evaluate", "plan", "fit", "replay", "render", "view", "export"):
         assert command in done.stdout
 
 

@@ -17,6 +17,7 @@ from foveate.cli.render import Render
 from foveate.cli.replay import Replay
 from foveate.cli.reproduce import Reproduce
 from foveate.cli.train import Train
+from foveate.cli.view import View
 
 DESCRIPTION = """Teach a mobile agent with a limited field of view where to look.
 
@@ -40,6 +41,7 @@ COMMANDS = {
     "fit": Fit,
     "replay": Replay,
     "render": Render,
+    "view": View,
     "export": Export,
 }
 

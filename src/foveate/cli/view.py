@@ -1,0 +1,132 @@
+"""`foveate view`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from foveate.settings import Experiment
+    from foveate.view import Programme
+
+
+@dataclass(kw_only=True)
+class View:
+    """Play episodes in the browser, in 3-D: the agent with its view, targets, beliefs, and what is known of each.
+
+    Serves a page at 127.0.0.1, for this machine only, until ctrl-C; or, with --record, writes one episode as a page
+    that plays without a server. The same chance as in `foveate evaluate` and `foveate replay`.
+    """
+
+    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    """Run folder of `foveate train`; of a preset the hand-made methods are shown."""
+    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    """Where scenes come from (default: table1 in the plane, own in space)."""
+    recording: Annotated[Path | None, tyro.conf.arg(metavar="RECORDING.csv")] = None
+    """Drive through a recording of real targets in the place of scenes."""
+    start: float | None = None
+    """Begin the recording here [s]."""
+    end: float | None = None
+    """End the recording here [s]."""
+    max_gap: float = 2.0
+    """Longest gap between two fixes over which a target of the recording counts as present [s]."""
+    port: int = 8080
+    """Where to serve the page."""
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None
+    """Write a page that plays one episode without a server, and end."""
+    scene: str | None = None
+    """The scene to begin with, or to record (default: the first)."""
+    method: str | None = None
+    """The method to begin with, or to record: policy, random, still, nearest, uncertain or lawnmower."""
+    protocol: Literal["surrogate", "true"] = "true"
+    """How information is counted; in a recording always the true way."""
+    scene_seed: int = 2023
+    """Seed of the scenes of table1 or own."""
+    seed: int = 0
+    """Seed of the noise."""
+
+    def run_command(self) -> int:
+        """Serve, or write the page."""
+        from foveate.cli.common import check_output, check_seed, experiment_of
+
+        if self.scenes is not None and self.recording is not None:
+            raise ValueError("--scenes and --recording: expected one of them")
+        if not 1 <= self.port <= 65535:
+            raise ValueError(f"--port {self.port}: expected a whole number from 1 to 65535")
+        if self.record is not None and self.record.suffix.lower() != ".html":
+            raise ValueError(f"{self.record}: expected a name that ends in .html")
+        check_output(self.record, *[name for name in (self.scenes, self.recording) if name])
+        check_seed(self.seed)
+        check_seed(self.scene_seed, "--scene-seed")
+        from foveate.view import record, serve
+
+        experiment = experiment_of(self.run)
+        programme = self._recorded(experiment) if self.recording is not None else self._simulated(experiment)
+        if self.record is None:
+            serve(programme, self.port, lambda line: print(line, flush=True))
+            return 0
+        film = programme.film(programme.scenes[0], programme.methods[0])
+        record(film, self.record)
+        print(f"{self.record}: {film.title}")
+        return 0
+
+    def _methods(self) -> tuple[str, ...]:
+        """All there are, the chosen one first; without the policy where there is none."""
+        from foveate.cli.common import METHODS, check_methods
+
+        known = METHODS if Path(self.run).is_dir() else METHODS[1:]
+        if self.method is None:
+            return known
+        if self.method not in known:
+            check_methods((self.method,) if self.method != "all" else ("one of them",))
+            raise ValueError(f"--method policy: {self.run} is a preset without a trained policy: name another method")
+        return tuple(dict.fromkeys((self.method, *known)))
+
+    def _simulated(self, experiment: "Experiment") -> "Programme":
+        from foveate.cli.common import policy_of, scenes_of
+        from foveate.evaluation import prepare
+        from foveate.film import Film, films
+        from foveate.view import Programme
+
+        name, known = scenes_of(self.scenes, self.scene_seed, experiment)
+        by_id = {scene.id: scene for scene in known}
+        if self.scene is not None and self.scene not in by_id:
+            raise ValueError(f"--scene {self.scene}: no such scene in {name}: expected {next(iter(by_id))}, say")
+        first = (self.scene,) if self.scene is not None else ()
+        problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+
+        def make(scene: str, method: str) -> Film:
+            suite = prepare(problem, settings, [by_id[scene]], self.seed)
+            return films(suite, policy_of(self.run, method, experiment), self.protocol, method)[0]
+
+        return Programme(scenes=tuple(dict.fromkeys((*first, *by_id))), methods=self._methods(), film=make)
+
+    def _recorded(self, experiment: "Experiment") -> "Programme":
+        import sys
+
+        import jax.numpy as jnp
+        import numpy as np
+
+        from foveate.cli.common import policy_of
+        from foveate.film import Film, film
+        from foveate.recorded import load_recording, window
+        from foveate.replay import default_agent_start, prepare_replay, replay, warnings_for
+        from foveate.view import Programme
+
+        assert self.recording is not None, "called with a recording only"
+        if self.scene is not None:
+            raise ValueError("--scene: a recording is one scene")
+        recording = window(load_recording(self.recording), self.start, self.end)
+        box = jnp.asarray(np.stack(recording.extent), float)
+        start = default_agent_start(recording, experiment.scenario)
+        ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed)
+        for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
+            print(f"warning: {line}", file=sys.stderr)
+
+        def make(scene: str, method: str) -> Film:
+            _, trace = replay(ready, method, policy_of(self.run, method, experiment, box))
+            steps, columns = trace.visible.shape
+            return film(ready.problem, trace, ready.truth, steps, columns, f"{method} on {scene}")
+
+        return Programme(scenes=(self.recording.name,), methods=self._methods(), film=make)

@@ -1,0 +1,335 @@
+"""The live view: what a written page holds, read back from its own format; pages and clicks in a real Chromium."""
+
+import base64
+import json
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+pytest.importorskip("viser", reason="needs the extra view")
+
+import msgspec
+import zstandard
+from websockets.sync.client import connect
+
+from foveate import view, view_chart, view_stage
+from foveate.cli.main import main
+from foveate.film import SUBSTEPS, Film
+from foveate.geometry.space import SPACES
+from foveate.scenes import Scene, write_scenes
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
+SQUARE = np.array([[2.0, -1, -1], [2, 1, -1], [2, 1, 1], [2, -1, 1], [2, -1, -1]])
+PYRAMID = (SQUARE, *(np.array([[0.0, 0, 0], corner]) for corner in SQUARE[:4]))
+GREEN, VERMILLION = (0, 158, 115), (213, 94, 0)
+
+
+def made_up(dimension=2, steps=4, n=3, **changes):
+    """An episode whose beliefs are wide until, from the third instant on, all are seen; of made-up numbers."""
+    rng, d = np.random.default_rng(5), dimension
+    pose = np.cumsum(np.tile([0.8, 0.3, 0.2], (steps + 1, 1)), axis=0)
+    if d == 3:
+        turn = Rotation.from_euler("z", pose[:, 2:]).as_matrix()
+        position, pose = (
+            np.pad(pose[:, :2], ((0, 0), (0, 1)), constant_values=1.0),
+            np.tile(np.eye(4), (steps + 1, 1, 1)),
+        )
+        pose[:, :3, :3], pose[:, :3, 3] = turn, position
+    truth = rng.uniform(-6, 6, (n, d)) + rng.normal(0, 0.1, (steps + 1, n, d)).cumsum(axis=0)
+    root = rng.normal(size=(n, d, d))
+    wide = root @ root.swapaxes(-1, -2) + np.eye(d)
+    late = np.arange(steps + 1) >= 2
+    values = {
+        "title": "made up",
+        "space": SPACES["planar" if d == 2 else "spatial"],
+        "visible": np.tile(late[1:, None], (1, n)),
+        "log_det": np.where(late[1:, None], 6.0, -1.0) + np.arange(n),
+        "times_s": 0.5 * np.arange(steps + 1),
+        "pose": pose,
+        "truth": truth,
+        "estimate": truth + 0.1,
+        "covariance": np.where(late[:, None, None, None], 0.02, 1.0) * wide,
+        "present": np.ones((steps + 1, n), bool),
+        "outline": (TRIANGLE,) if d == 2 else PYRAMID,
+    }
+    return Film(**{**values, **changes})
+
+
+def messages(page: Path):
+    """What a written page plays: (time [s], message), by the format that viser's own player reads."""
+    text = page.read_text(encoding="utf-8")
+    packed = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]*)"', text)[1])
+    size = int.from_bytes(packed[:8], "little")
+    inner = zstandard.ZstdDecompressor().decompress(packed[8:], max_output_size=size)
+    length = int.from_bytes(inner[:8], "little")
+    return msgspec.msgpack.decode(inner[8 : 8 + length])
+
+
+def last_of(played, name, prop):
+    """The last value that a node's property or pose is given."""
+    found = [
+        message["updates"][prop] if "updates" in message else message[prop]
+        for _, message in played["messages"]
+        if message.get("name") == name and (prop in message or prop in message.get("updates", {}))
+    ]
+    return found[-1]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_page_holds_the_episode(tmp_path, dimension):
+    """At its end: the agent where it is, truths and estimates, and 95 % bodies whose axes come from numpy's svd."""
+    film = made_up(dimension)
+    view.record(film, tmp_path / "page.html")
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+    played = messages(tmp_path / "page.html")
+    assert played["durationSeconds"] == pytest.approx(film.times_s[-1] + 1.0)
+    times = [at for at, _ in played["messages"]]
+    assert times == sorted(times)
+    d = film.space.dimension
+    here = film.pose[-1]
+    place = here[:2] if d == 2 else here[:3, 3]
+    np.testing.assert_allclose(last_of(played, "/agent", "position")[:d], place, atol=1e-5)
+    heading = Rotation.from_quat(last_of(played, "/agent", "wxyz"), scalar_first=True).apply([1, 0, 0])
+    expected = [np.cos(here[2]), np.sin(here[2]), 0] if d == 2 else here[:3, 0]
+    np.testing.assert_allclose(heading, expected, atol=1e-6)
+    for i in range(film.targets):
+        np.testing.assert_allclose(last_of(played, f"/target/{i}", "position")[:d], film.truth[-1, i], atol=1e-5)
+        np.testing.assert_allclose(last_of(played, f"/belief/{i}", "position")[:d], film.estimate[-1, i], atol=1e-5)
+        assert tuple(last_of(played, f"/belief/{i}", "color")) == GREEN
+        turn = Rotation.from_quat(last_of(played, f"/belief/{i}", "wxyz"), scalar_first=True).as_matrix()
+        scale = np.array(last_of(played, f"/belief/{i}", "scale"))
+        shape = (turn @ np.diag(scale**2) @ turn.T)[:d, :d]
+        np.testing.assert_allclose(shape, chi2.ppf(0.95, d) * film.covariance[-1, i], rtol=1e-6, atol=1e-9)
+    assert "score so far 7.00 nat per target" in last_of(played, "/board/facts", "text")
+
+
+def test_facts_and_curves():
+    film = made_up(n=2, present=np.array([[True, True]] * 3 + [[True, False]] * 2))
+    values = view_chart.curves(film)
+    np.testing.assert_allclose(values[:, 0], [-0.5, 6.5, 6.0, 6.0])  # the second one has gone
+    np.testing.assert_allclose(values[:, 2], [0.0, 7.0, np.nan, np.nan])
+    assert view_chart.curves(made_up(n=21)).shape == (4, 1)
+    facts = view_chart.facts(film, 3 * SUBSTEPS)
+    assert facts["score so far"] == "6.00 nat per target"
+    assert (facts["time"], facts["step"], facts["seen now"]) == ("1.5 of 2.0 s", "3 of 4", "1 of 1")
+    assert "ever seen" not in facts  # a column may serve several, one after the other
+    assert view_chart.facts(made_up(), 2 * SUBSTEPS)["ever seen"] == "3 of 3"
+    assert facts["of the time"] == "60%"  # 3 of the 5 target-steps so far
+    assert view_chart.facts(film, 0)["score so far"] == "-"
+    assert view.moment_at(film, 0.75) == 1.5 * SUBSTEPS
+    assert view.usual_speed(film) == 1.0
+    assert view.usual_speed(made_up(times_s=100.0 * np.arange(5))) == 10.0
+
+
+def test_meshes():
+    """Areas and volumes against closed forms: the view's triangle, a disc and ball of their polygons."""
+
+    def area(mesh):
+        a, b, c = mesh[0][mesh[1]].swapaxes(0, 1)
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum()
+
+    assert area(view_stage.view_mesh(made_up())) == pytest.approx(6.0)
+    assert area(view_stage.view_mesh(made_up(3))) == pytest.approx(4.0)
+    assert area(view_stage.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
+    assert area(view_stage.ball()) == pytest.approx(4 * np.pi, rel=0.02)
+    angle = np.linspace(-2.0, 2.0, 65)  # a sector of more than half a turn, from its apex
+    sector = np.concatenate([[[0, 0]], np.column_stack([np.cos(angle), np.sin(angle)]), [[0, 0]]])
+    assert area(view_stage.fan(sector)) == pytest.approx(2.0, rel=1e-3)
+
+
+def failure(capsys, *arguments):
+    """The one line on standard error of a command that ends with 2."""
+    assert main(["view", *map(str, arguments)]) == 2
+    printed = capsys.readouterr()
+    assert not printed.out
+    (line,) = printed.err.splitlines()
+    return line
+
+
+def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
+    scenes, page = tmp_path / "scenes.json", tmp_path / "page.html"
+    write_scenes(scenes, [Scene(id="a", agent=(0.0,) * 3, targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=2)])
+    few = ("paper", "--scenes", scenes)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert f"--port {port}: is in use" in failure(capsys, *few, "--port", port)
+    assert "--port 70000" in failure(capsys, *few, "--port", 70000)
+    assert "ends in .html" in failure(capsys, *few, "--record", tmp_path / "page.htm")
+    assert "expected one of them" in failure(capsys, *few, "--recording", "x.csv")
+    assert f"no such scene in {scenes}: expected a, say" in failure(capsys, *few, "--scene", "nowhere")
+    assert "without a trained policy" in failure(capsys, *few, "--method", "policy")
+    assert "--method best" in failure(capsys, *few, "--method", "best")
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert "pip install 'foveate[view]'" in failure(capsys, *few)
+    assert "pip install 'foveate[view]'" in failure(capsys, *few, "--method", "still", "--record", page)
+    assert [path.name for path in tmp_path.iterdir()] == ["scenes.json"]
+
+
+class Browser:
+    """A headless Chromium, spoken to by its debugging protocol."""
+
+    def __init__(self, folder: Path) -> None:
+        port_file = folder / "DevToolsActivePort"
+        arguments = [
+            CHROMIUM,
+            *FLAGS,
+            f"--user-data-dir={folder}",
+            "--remote-debugging-port=0",
+            "--window-size=800,500",
+        ]
+        self._process = subprocess.Popen(
+            [*arguments, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        wait_for(lambda: port_file.exists() and "\n" in port_file.read_text(), self._process)
+        address = f"http://127.0.0.1:{port_file.read_text().split()[0]}/json"
+        pages = []
+
+        def found():
+            pages[:] = [page for page in json.load(urllib.request.urlopen(address)) if page["type"] == "page"]
+            return pages
+
+        wait_for(found, self._process)
+        self._socket, self._count = connect(pages[0]["webSocketDebuggerUrl"], max_size=None), 0
+
+    def ask(self, method, **options):
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": options}))
+        while (answer := json.loads(self._socket.recv(timeout=120))).get("id") != self._count:
+            pass
+        return answer.get("result", {})
+
+    def run(self, script):
+        return self.ask("Runtime.evaluate", expression=script, returnByValue=True).get("result", {}).get("value")
+
+    def picture(self) -> np.ndarray:
+        found = {}
+        # There is none while a page is being loaded.
+        wait_for(lambda: found.update(self.ask("Page.captureScreenshot")) or "data" in found)
+        data = base64.b64decode(found["data"])
+        return np.asarray(Image.open(BytesIO(data)).convert("RGB")).astype(int)
+
+    def close(self) -> None:
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait(30)
+
+
+def wait_for(happens, process=None, seconds=120.0):
+    """Wait until something happens, while a process lives."""
+    end = time.monotonic() + seconds
+    while not happens():
+        assert time.monotonic() < end, "waited in vain"
+        assert process is None or process.poll() is None, "the browser has ended"
+        time.sleep(0.4)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if CHROMIUM is None:
+        pytest.skip("no chromium here")
+    opened = Browser(tmp_path_factory.mktemp("chromium"))
+    yield opened
+    opened.close()
+
+
+def pixels(picture, color):
+    """How many pixels have this hue: lines are drawn in their colour, edges are smoothed."""
+    return int((np.abs(picture - np.array(color)).max(axis=-1) < 40).sum())
+
+
+def test_a_written_page_plays_without_a_server(browser, tmp_path):
+    """Beliefs in vermillion at first, then in green; how wide each is, the page's messages say (above)."""
+    view.record(made_up(steps=8, n=3, times_s=0.5 * np.arange(9)), tmp_path / "page.html")
+    browser.ask("Page.navigate", url=(tmp_path / "page.html").as_uri())
+    drawn = {VERMILLION: 0, GREEN: 0}
+
+    def both() -> bool:
+        picture = browser.picture()
+        now = {color: pixels(picture, color) for color in drawn}
+        assert min(now.values()) < 10  # all are seen, or none
+        drawn.update({color: max(drawn[color], count) for color, count in now.items()})
+        return min(drawn.values()) > 10
+
+    wait_for(both)  # it plays over and over
+
+
+def test_a_live_page_follows_its_panel(browser):
+    """It shows the score as it accrues; a click in the page stops the clock, another chooses another method."""
+    asked = []
+
+    def make(scene, method):
+        asked.append((scene, method))
+        return made_up(steps=400, n=2, title=f"{method} on {scene}")
+
+    programme = view.Programme(scenes=("one", "two"), methods=("nearest", "still"), film=make)
+    with view._server(0) as server:
+        with pytest.raises(OSError, match=r"refused|unreachable|timed out"):  # at no other address of this machine
+            socket.create_connection(("127.0.0.2", server.get_port()), timeout=5)
+        player = view.Player(server, programme)
+        player.tick(0.0)
+        assert asked == [("one", "nearest")]
+        film = player._films["one", "nearest"]
+        browser.ask("Page.navigate", url=f"http://127.0.0.1:{server.get_port()}")
+        text = "document.body.innerText"
+        wait_for(lambda: "score so far" in (browser.run(text) or ""))
+        player.tick(10.0)
+        wait_for(lambda: "6.50 nat per target" in browser.run(text))
+        assert "nearest on one" in browser.run(text)
+        before = player._moment
+        assert before > 10 * SUBSTEPS
+        browser.run("[...document.querySelectorAll('.mantine-Checkbox-input')].at(-1).click()")
+        wait_for(lambda: player._play.value is False)
+        player.tick(5.0)
+        assert player._moment == before
+        browser.run("[...document.querySelectorAll('button')].find(b => b.innerText == 'back').click()")
+        wait_for(lambda: view.moment_at(film, player._time_s) < before)
+        player.tick(1.0)
+        assert player._moment == before - before % SUBSTEPS - SUBSTEPS
+        browser.run("document.querySelector('input[role=combobox][value=nearest]').click()")
+        choose = "[...document.querySelectorAll('[role=option]')].find(each => each.innerText == 'still').click() ?? 1"
+        wait_for(lambda: browser.run(choose))
+        wait_for(lambda: player._method.value == "still")
+        player.tick(0.0)
+        assert asked[-1] == ("one", "still")
+        wait_for(lambda: "still on one" in browser.run(text))
+        wait_for(lambda: pixels(browser.picture(), VERMILLION) > 10)
+
+
+def test_scenes_and_recordings_from_the_command_line(capsys, tmp_path, monkeypatch):
+    """A hand-made policy that stands still: what is written of a scene and of a recording is what they say."""
+    monkeypatch.chdir(tmp_path)
+    rest = {"targets": ((1.0, 1.0),), "drift": ((0.0, 0.0),), "horizon": 2}
+    scenes = [Scene(id=name, agent=(x, 0.0, 0.0), **rest) for name, x in (("a", 0.0), ("b", 3.0))]
+    write_scenes(Path("s.json"), scenes)
+    rows = [f"{time_s},7,{1 + 0.1 * time_s},0.5" for time_s in range(5)]
+    Path("r.csv").write_text("\n".join(["time_s,track_id,x_m,y_m", "0,8,4,-2", *rows, "4,8,4,-2"]))
+    shown = {
+        "scene.html": ("--scenes", "s.json", "--scene", "b"),
+        "recording.html": ("--recording", "r.csv", "--max-gap", "5"),
+    }
+    for page, source in shown.items():
+        assert main(["view", "paper", *source, "--method", "still", "--record", page]) == 0
+        assert capsys.readouterr().out.startswith(f"{page}: still")
+    scene, recording = (messages(Path(page)) for page in shown)
+    assert scene["durationSeconds"] == 2.0 + 1.0
+    np.testing.assert_allclose(last_of(scene, "/agent", "position")[:2], [3.0, 0.0], atol=1e-6)
+    assert recording["durationSeconds"] == 4.0 + 1.0
+    np.testing.assert_allclose(last_of(recording, "/agent", "position")[:2], [2.5, -0.75], atol=1e-6)  # the middle
+    ends = sorted(tuple(np.round(last_of(recording, f"/target/{i}", "position")[:2], 5)) for i in range(2))
+    np.testing.assert_allclose(ends, [(1.4, 0.5), (4.0, -2.0)], atol=1e-5)
