@@ -18,7 +18,9 @@ def test_gradient(name, dtype):
     """Of norm 1 at all but a rounding error from the boundary and in folds, finite there; towards the nearest point.
 
     The latter where there is only one, and it is known: the search for it is good to 1e-8. Float32 is held to float64
-    with the same inputs, since the rounding of an angle near pi alone moves the corners of a view.
+    with the same inputs, since the rounding of an angle near pi alone moves the corners of a view. Compiled, a
+    difference of coordinates may be rounded once for a length and otherwise for its derivative (a fused product), so
+    that close to a corner the norm is uncertain by a rounding error over the distance.
     """
     case = CASES[name]
     points, answer = answered(name)
@@ -29,12 +31,14 @@ def test_gradient(name, dtype):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((by_shape, forward)))
 
     norm = np.linalg.norm(reverse, axis=1)
-    blur = 16 * np.finfo(dtype).eps * np.maximum(size, np.linalg.norm(inputs, axis=1))  # of rounded coordinates
+    rounding = np.finfo(dtype).eps * np.maximum(size, np.linalg.norm(inputs, axis=1))
+    blur = 16 * rounding  # of rounded coordinates
     assert np.all(norm < 1 + 4e-7)  # NaN fails too
     center = np.all(np.asarray(getattr(shape, "center", 0.0)) == inputs, axis=1)
     regular = (np.abs(value) > blur) & ~(inputs[:, 1:] == 0).any(axis=1) & ~center
     assert regular.mean() > 0.5
-    np.testing.assert_allclose(norm[regular], 1.0, rtol=0, atol=4e-7 if dtype == np.float32 else 1e-14)
+    exact = 4e-7 if dtype == np.float32 else 1e-14
+    assert np.all(np.abs(norm - 1)[regular] < exact + rounding[regular] / np.abs(value)[regular])
 
     if dtype == np.float32:
         expected = gradients(cast(shape, np.float64), inputs.astype(np.float64))[1]
