@@ -1,5 +1,6 @@
 """`foveate train`."""
 
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -7,6 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
+    import threading
+    from collections.abc import Iterator
+    from types import FrameType
+
+    from foveate.cli.common import Bar
     from foveate.learning.judging import Check, Outcome
     from foveate.settings import Experiment
 
@@ -82,6 +88,7 @@ class Train:
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
         """Train with a bar that counts epochs, of PPO steps."""
+        from foveate.checkpoint import CONFIG
         from foveate.cli.common import Bar
         from foveate.learner_settings import PPOSettings
         from foveate.learning.learner import train
@@ -89,7 +96,7 @@ class Train:
         settings = experiment.training
         by_ppo = isinstance(settings, PPOSettings)
         total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
-        with Bar(f"training {out}", total, unit) as bar:
+        with Bar(f"training {out}", total, unit) as bar, _patience(bar, not by_ppo) as asked:
 
             def report(check: "Check", _: int) -> None:
                 done, rate = check.epoch, check.epochs_per_s
@@ -98,12 +105,15 @@ class Train:
                 bar.update(done, f"held-out {check.held_out:.2f}  {rate:.0f}/s")
                 if check.event:
                     bar.say(f"epoch {check.epoch}: {check.event}")
+                if asked.is_set():  # here all of the check is on the disk
+                    raise KeyboardInterrupt
 
             try:
                 return train(experiment, out, seed, self.resume is not None, report)
-            except KeyboardInterrupt:
-                how = "its best so far is kept" if by_ppo else f"go on with  foveate train --resume {out}"
-                bar.say(f"interrupted: {how}")
+            except (KeyboardInterrupt, OSError) as error:
+                by_hand = isinstance(error, KeyboardInterrupt)
+                if by_hand or (out / CONFIG).exists():
+                    bar.say(f"{'interrupted' if by_hand else 'failed'}: {_kept(out, by_ppo)}")
                 raise
 
     def _experiment(self) -> "Experiment":
@@ -134,3 +144,40 @@ class Train:
                 raise ValueError(f"--{name}: this algorithm does not count them: expected {right}")
             training = replace(training, **{name: value})
         return replace(experiment, training=training)
+
+
+def _kept(out: Path, by_ppo: bool) -> str:
+    """What there is of a training that did not come to its end."""
+    from foveate.checkpoint import BEST, CONFIG
+
+    if by_ppo:
+        return "its best so far is kept" if (out / BEST).exists() else "there is no policy of it yet"
+    if not (out / CONFIG).exists():
+        return "nothing was trained yet"
+    return f"its last check is kept: go on with  foveate train --resume {out}"
+
+
+@contextmanager
+def _patience(bar: "Bar", finishes: bool) -> "Iterator[threading.Event]":
+    """Where a training `finishes` its check, the first ctrl-C sets the event and the second one interrupts."""
+    import signal
+    import threading
+
+    asked = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def ask(number: int, frame: "FrameType | None") -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        bar.say("stopping when the check that is under way is saved; ctrl-C once more stops at once")
+
+    # A caller's own way with ctrl-C is left alone, and only the main thread may choose one.
+    mine = finishes and before is signal.default_int_handler and threading.current_thread() is threading.main_thread()
+    if mine:
+        signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        if mine:
+            signal.signal(signal.SIGINT, before)
