@@ -123,7 +123,8 @@ class ActorCriticSettings(JudgedSettings):
     """How a policy of modes is trained by trying: proximal policy optimisation on whole noisy episodes.
 
     An epoch plays `episodes` fresh episodes, shared out evenly among the `protocols`, with a mode drawn by its weight
-    and a Gaussian about its action, whose standard deviation goes linearly from the first to the last of `spread`;
+    and a Gaussian about its action, whose standard deviation falls linearly, epoch by epoch, from the first of `spread`
+    towards the last, which it would reach after them;
     then Adam goes over all steps `passes` times in `minibatches` each. What is earned is the growth of log det per
     target ("terminal"), its mean over the steps ("mean") or the share of time in view ("seen"), undiscounted: nothing
     is worth anything after the horizon. Both learning rates fall to 0 as a cosine.

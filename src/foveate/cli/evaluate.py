@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
+    from foveate.closeness import Cell
     from foveate.evaluation import Suite
     from foveate.summary import Summary
 
@@ -60,6 +61,7 @@ class Evaluate:
             scenes_of,
             with_initial_error,
         )
+        from foveate.closeness import floors
         from foveate.configuration import digest
         from foveate.evaluation import evaluate, prepare
         from foveate.files import write_json
@@ -78,6 +80,7 @@ class Evaluate:
         policies = {name: policy_of(self.run, name, experiment) for name in methods}
         suite = prepare(problem, settings, scenes, self.seed, self.episodes)
         protocols = ("surrogate", "true") if self.protocol == "both" else (self.protocol,)
+        lowest = floors(problem, scenes) if self.closeness else {}
         rows = []
         with Bar("evaluating", len(policies), "methods") as bar:
             for done, (name, policy) in enumerate(policies.items()):
@@ -85,7 +88,7 @@ class Evaluate:
                 rows += evaluate(suite, name, policy, protocols)
         summary = summarise(rows, problem.motion.state_size)
         if self.closeness:
-            summary = _judged(summary, suite, protocols)
+            summary = _judged(summary, suite, protocols, lowest)
         print_summary(f"{self.run} on {chosen}", self.episodes, summary)
         if self.json is not None:
             facts = {"run": self.run, "scenes": chosen, "experiment": digest(experiment)}
@@ -96,10 +99,12 @@ class Evaluate:
         return 0
 
 
-def _judged(summary: "list[Summary]", suite: "Suite", protocols: "tuple[str, ...]") -> "list[Summary]":
+def _judged(
+    summary: "list[Summary]", suite: "Suite", protocols: "tuple[str, ...]", lowest: "dict[Cell, float]"
+) -> "list[Summary]":
     """The summary with the closeness of each cell."""
     from foveate.cli.common import Bar
-    from foveate.closeness import ceiling_rows, floors, with_closeness
+    from foveate.closeness import ceiling_rows, with_closeness
     from foveate.summary import summarise
 
     count, rows = len(suite.scenes) * suite.episodes_per_scene, []
@@ -108,4 +113,4 @@ def _judged(summary: "list[Summary]", suite: "Suite", protocols: "tuple[str, ...
             before = len(rows)
             rows += ceiling_rows(suite, protocol, lambda done, before=before: bar.update(before + done))
     ceiling = summarise(rows, suite.problem.motion.state_size)
-    return with_closeness(summary, ceiling, floors(suite.problem, suite.scenes))
+    return with_closeness(summary, ceiling, lowest)
