@@ -7,6 +7,9 @@ from numpy.typing import ArrayLike
 
 from foveate.problem import Observation, Problem
 
+ASYMMETRY = 1e-5
+"""Of the largest entry: what rounding in float32 may leave between two that should be equal."""
+
 
 class Belief:
     """Gaussians over the states of n targets in the world: means, information matrices, and who is there.
@@ -38,10 +41,10 @@ class Belief:
         self.mean: Float[np.ndarray, "n n_y"] = _rows("mean", given, self.present)
         if covariance is not None:
             self.information: Float[np.ndarray, "n n_y n_y"] = np.linalg.inv(
-                _matrices("covariance", covariance, *given.shape, self.present)
+                _matrices("covariance", covariance, given, self.present)
             )
         else:
-            self.information = _matrices("information", information, *given.shape, self.present)
+            self.information = _matrices("information", information, given, self.present)
         self.known_input: Float[np.ndarray, "n m_y"] | None = None
         if known_input is not None:
             self.known_input = _rows("known_input", np.array(known_input, float), self.present)
@@ -80,10 +83,12 @@ class Belief:
 
 
 def fitting(belief: Belief, problem: Problem) -> Belief:
-    """The belief, with known inputs, 0 where it has none. Raises ValueError where it is not of the problem's targets."""
+    """The belief, with known inputs, 0 where it has none. Raises ValueError where it is of other targets."""
     (n, n_y), size, m_y = belief.mean.shape, problem.motion.state_size, problem.motion.input_size
     if n_y != size:
-        raise ValueError(f"mean has shape {(n, n_y)}: expected {(n, size)}, states of these targets have {size} numbers")
+        raise ValueError(
+            f"mean has shape {(n, n_y)}: expected {(n, size)}, states of these targets have {size} numbers"
+        )
     if belief.known_input is None:
         return belief.with_inputs(np.zeros((n, m_y)))
     if belief.known_input.shape != (n, m_y):
@@ -139,19 +144,16 @@ def _rows(name: str, rows: np.ndarray, present: Bool[np.ndarray, " n"]) -> Float
 
 
 def _matrices(
-    name: str, value: ArrayLike | None, n: int, n_y: int, present: Bool[np.ndarray, " n"]
+    name: str, value: ArrayLike | None, mean: Float[np.ndarray, "n n_y"], present: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n n_y n_y"]:
     """Symmetric, positive definite matrices, the identity in padding."""
-    given = np.array(value, float)
+    (n, n_y), given, identity = mean.shape, np.array(value, float), np.eye(mean.shape[1])
     if given.shape not in ((n, n_y, n_y), (n_y, n_y)):
         raise ValueError(f"{name} has shape {given.shape}: expected ({n}, {n_y}, {n_y}), or ({n_y}, {n_y}) for all")
-    found = np.where(present[:, None, None], given, np.eye(n_y))
-    finite = np.isfinite(found).all(axis=(1, 2))
-    usable = np.where(finite[:, None, None], found, np.eye(n_y))
-    size = np.abs(usable).max(axis=(1, 2))
-    symmetric = np.abs(usable - usable.swapaxes(1, 2)).max(axis=(1, 2)) <= 1e-6 * size
-    fine = finite & symmetric & (np.linalg.eigvalsh(usable).min(axis=1) > 0)
-    if not fine.all():
-        worst = found[fine.argmin()].tolist()
-        raise ValueError(f"{name}[{fine.argmin()}] = {worst}: expected finite, symmetric and positive definite")
+    found = np.where(present[:, None, None], given, identity)
+    for i, matrix in enumerate(found):
+        finite = bool(np.isfinite(matrix).all())
+        symmetric = finite and np.abs(matrix - matrix.T).max() <= ASYMMETRY * np.abs(matrix).max()
+        if not symmetric or np.linalg.eigvalsh(matrix)[0] <= 0:
+            raise ValueError(f"{name}[{i}] = {matrix.tolist()}: expected finite, symmetric and positive definite")
     return 0.5 * (found + found.swapaxes(1, 2))

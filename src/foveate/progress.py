@@ -55,7 +55,7 @@ class Bar:
 
 
 def train_watched(
-    experiment: "Experiment", out: Path, seed: int = 0, resume: bool = False, quiet: bool = False
+    experiment: "Experiment", out: Path, name: str, seed: int = 0, resume: bool = False, quiet: bool = False
 ) -> "Outcome":
     """Train into a run folder, as `learning.learner.train`, with a bar that counts epochs, of PPO steps."""
     from foveate.learner_settings import PPOSettings
@@ -64,7 +64,7 @@ def train_watched(
     settings = experiment.training
     by_ppo = isinstance(settings, PPOSettings)
     total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
-    with Bar(f"training {out}", total, unit, quiet) as bar:
+    with Bar(f"training {name}", total, unit, quiet) as bar:
 
         def report(check: "Check", _: int) -> None:
             done, rate = check.epoch, check.epochs_per_s

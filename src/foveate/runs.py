@@ -73,5 +73,5 @@ def scenes_of(name: Name | None, seed: int, experiment: Experiment) -> tuple[str
     if chosen != "table1":
         return chosen, read_scenes(Path(chosen), problem.agent.space, settings)
     if not planar:
-        raise ValueError("--scenes table1: the paper's suite is planar: give a scenes file, or own")
+        raise ValueError("scenes table1: the paper's suite is planar: give a scenes file, or own")
     return chosen, table1(problem, seed)

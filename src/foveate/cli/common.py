@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
 """The trained policy, and the hand-made ones (`policies.handmade.METHODS`; repeated here to keep help fast)."""
 
@@ -41,8 +42,9 @@ def check_methods(methods: Sequence[str]) -> tuple[str, ...]:
 
 def check_seed(seed: int, name: str = "--seed") -> None:
     """Raise ValueError for a seed that is no seed."""
-    if not 0 <= seed < 2**32:
-        raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
+    from foveate.checks import seed_number
+
+    seed_number(seed, name)
 
 
 def check_least(name: str, value: int | None, least: int) -> None:

@@ -88,7 +88,7 @@ class Train:
         from foveate.progress import train_watched
 
         try:
-            return train_watched(experiment, out, seed, self.resume is not None)
+            return train_watched(experiment, out, str(out), seed, self.resume is not None)
         except KeyboardInterrupt:
             by_ppo = isinstance(experiment.training, PPOSettings)
             how = "its best so far is kept" if by_ppo else f"go on with  foveate train --resume {out}"
