@@ -83,6 +83,8 @@ FLOORS = [
         "view_stage",
         "view_chart",
         "view",
+        "timing",
+        "benchmarks",
         "cli.*",
     ],
 ]
