@@ -89,6 +89,8 @@ FLOORS = [
         "view_stage",
         "view_chart",
         "view",
+        "timing",
+        "benchmarks",
         "cli.*",
     ],
 ]
