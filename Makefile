@@ -4,6 +4,7 @@
 PYTHON ?= python3
 EXTRA ?=
 PYTEST_ARGS ?=
+BENCH_ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,18 +12,20 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test lint clean
+.PHONY: help demo test lint bench clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make demo    install the core, then run examples/demo.py: a table on the screen, pictures in runs/demo/'
 	@echo 'make test    install the core and the test tools, then run ruff, pyright and the tests'
 	@echo 'make lint    the same installation, ruff and pyright only'
+	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
 	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
 	@echo 'EXTRA=ppo                for make test: install this extra of pyproject.toml too'
 	@echo 'PYTEST_ARGS="-k arrays"  for make test: further arguments of pytest'
+	@echo 'BENCH_ARGS=--quick       for make bench: its options'
 
 demo: $(VENV)/.stamp-core
 	@echo '== demo: examples/demo.py'
@@ -39,6 +42,9 @@ lint: $(VENV)/.stamp-dev
 	@$(BIN)/ruff format --check
 	@echo '== types: pyright'
 	@$(BIN)/pyright
+
+bench: $(VENV)/.stamp-dev
+	@$(BIN)/foveate bench --baseline benchmarks/baseline.json $(BENCH_ARGS)
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist

@@ -11,7 +11,7 @@ from foveate.comparison import Part, as_json, compare
 from foveate.evaluation import Row
 from foveate.pages import markdown
 from foveate.report import tables
-from foveate.scenario import Scenario
+from foveate.scenario import Scenario, SensorSettings
 from foveate.scenes import Scene
 from foveate.summary import summarise
 
@@ -60,6 +60,12 @@ def test_a_scene_counts_once_however_many_seeds(comparison):
     assert cell.mean == pytest.approx(mean[0].mean())
     expected = stats.t.interval(0.95, SCENES - 1, loc=mean[0].mean(), scale=stats.sem(mean[0]))
     assert cell.ci95 == pytest.approx(expected)
+
+
+def test_closeness_is_refused_for_a_filter_that_learns_from_looking_in_vain():
+    scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=3)
+    with pytest.raises(ValueError, match="closeness is of a filter"):
+        floors(Scenario(sensor=SensorSettings(absence="used")).problem(), [scene])
 
 
 def test_closeness_runs_from_the_floor_to_the_omniscient(comparison):

@@ -11,6 +11,7 @@ from foveate.episodes import table1
 from foveate.evaluation import evaluate
 from foveate.methods import Fixed
 from foveate.policies.handmade import handmade
+from foveate.report import worlds
 from foveate.robustness import FACTORS, Factor, Point, as_json, changed_bench, points, verdicts
 from foveate.scenario import Scenario
 from foveate.settings import PRESETS
@@ -108,6 +109,17 @@ def made_up_points() -> list[Point]:
         point("net", seed, value, SCORES[s, v]) for s, seed in enumerate((0, 10)) for v, value in ((0, 1.0), (1, 2.0))
     ]
     return [*net, point("omniscient", None, 1.0, [9.0] * 12), point("omniscient", None, 2.0, [7.0] * 12)]
+
+
+def test_the_table_leaves_out_a_closeness_that_says_nothing():
+    """Where a method passes the omniscient planner, that planner is the weak one."""
+    best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in made_up_points()[-2:]]
+    found = worlds([MADE_UP], [*made_up_points()[:-2], *best])
+    mean = SCORES.mean(axis=(0, 2))
+    (_, method, *cells), (_, ceiling, *highest) = found.rows
+    assert (method, ceiling, highest[0]) == ("net", "omniscient", "9.00 ± 0.00")
+    assert cells[0].startswith(f"{mean[0]:.2f} ± ")
+    assert [cell.rpartition(" ")[2] for cell in cells] == [f"({(mean[0] + 1) / 10:.2f})", "(-)"]
 
 
 def test_verdicts():

@@ -27,7 +27,14 @@ def ceiling_rows(suite: Suite, protocol: str, report: Callable[[int], None] = la
 
 
 def floors(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
-    """The mean score of one who never sees anything [nat per target], for every cell of the scenes."""
+    """The mean score of one who never sees anything [nat per target], for every cell of the scenes.
+
+    Raises ValueError for a filter that learns from looking in vain: there this is no floor, and plans are no ceiling.
+    """
+    if problem.sensor.uses_absence:
+        raise ValueError(
+            "sensor.absence = 'used': closeness is of a filter that learns from measurements alone: expected none"
+        )
     values: dict[Cell, list[float]] = {}
     for scene, value in zip(scenes, floor(problem, [scene.horizon for scene in scenes]), strict=True):
         values.setdefault((scene.motion, len(scene.targets)), []).append(float(value))

@@ -123,7 +123,8 @@ class ActorCriticSettings(JudgedSettings):
     """How a policy of modes is trained by trying: proximal policy optimisation on whole noisy episodes.
 
     An epoch plays `episodes` fresh episodes, shared out evenly among the `protocols`, with a mode drawn by its weight
-    and a Gaussian about its action, whose standard deviation goes linearly from the first to the last of `spread`;
+    and a Gaussian about its action, whose standard deviation falls linearly, epoch by epoch, from the first of `spread`
+    towards the last, which it would reach after them;
     then Adam goes over all steps `passes` times in `minibatches` each. What is earned is the growth of log det per
     target ("terminal"), its mean over the steps ("mean") or the share of time in view ("seen"), undiscounted: nothing
     is worth anything after the horizon. Both learning rates fall to 0 as a cosine.
@@ -152,7 +153,8 @@ class ActorCriticSettings(JudgedSettings):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         right = "expected at least one of surrogate, true, each once"
         require(len(set(self.protocols)) == len(self.protocols) > 0, "protocols", self.protocols, right)
-        right = f"expected a multiple of the number of protocols, {len(self.protocols)}, and >= minibatches"
+        least = f">= minibatches = {self.minibatches}"
+        right = f"expected a multiple of the number of protocols, {len(self.protocols)}, and {least}"
         shared = self.episodes % len(self.protocols) == 0 and self.episodes >= self.minibatches
         require(shared, "episodes", self.episodes, right)
         positive(self, "learning_rate", "critic_learning_rate", "gradient_bound", "clip")

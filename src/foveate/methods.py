@@ -19,9 +19,9 @@ from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSetting
 from foveate.policies.handmade import METHODS as HANDMADE
 from foveate.policies.handmade import handmade
 from foveate.problem import Policy
+from foveate.rollout import PROTOCOLS
 from foveate.settings import PPO, PRESETS, Experiment, with_learner
 
-PROTOCOLS = ("surrogate", "true")
 Report = Callable[[int], None]
 """Called with the number of episodes that are done."""
 

@@ -20,7 +20,7 @@ from foveate.files import write_atomic, write_json
 from foveate.film import Film, films
 from foveate.methods import Acting, Bench, can_train
 from foveate.pages import markdown
-from foveate.report import tables
+from foveate.report import tables, worlds
 from foveate.reproduction import Results, Trained, trained_policy
 from foveate.robustness import as_json as worlds_as_json
 from foveate.robustness import verdicts
@@ -62,6 +62,8 @@ def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     if study.suite == "true-view" and not study.quick:
         _episodes(study, bench, out, comparisons[0])
     found = [table for one in comparisons for protocol in study.protocols for table in tables(one, protocol)]
+    if results.points:
+        found.append(worlds(study.factors, results.points))
     text = markdown(heading(study), _conditions(study, trained), found, figures)
     write_atomic(out / TABLE, text.encode())
     return comparisons
@@ -69,8 +71,10 @@ def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
 
 def _robustness(study: Study, out: Path, results: Results) -> None:
     found = {factor.name: verdicts(factor, results.points) for factor in study.factors}
-    robustness_figure(study.factors, found, out / ROBUSTNESS)
-    facts = {"protocol": study.protocols[0], "initial_error": study.initial_errors[0], "quick": study.quick}
+    label = f"{study.protocols[0]} score [nat per target]"
+    robustness_figure(study.factors, found, out / ROBUSTNESS, label)
+    about = {"protocol": study.protocols[0], "initial_error": study.initial_errors[0]}
+    facts = {**_facts(study, results.trained), **about}
     write_json(out / "robustness.json", worlds_as_json(study.factors, results.points, facts))
 
 

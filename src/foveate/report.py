@@ -8,10 +8,11 @@ from foveate.closeness import Cell
 from foveate.comparison import Comparison, Difference, Overall
 from foveate.pages import Table
 from foveate.published import MODEL_BASED, MODEL_FREE
+from foveate.robustness import CEILING, Factor, Point, Verdict, verdicts
 from foveate.summary import Summary
 
 SIGNIFICANT = 0.05
-PROTOCOLS = {
+MEANINGS = {
     "surrogate": "The paper's score: information grows softly, also for targets near the view",
     "true": "The Kalman filter that really runs: information only from real measurements",
 }
@@ -75,7 +76,7 @@ def scores(comparison: Comparison, protocol: str) -> Table:
         ]
     return Table(
         title=f"{_where(comparison, protocol)}: score per target [nat]",
-        note=f"{PROTOCOLS[protocol]}. Mean over scenes (of trained methods: and over seeds) ± half of its 95 % "
+        note=f"{MEANINGS[protocol]}. Mean over scenes (of trained methods: and over seeds) ± half of its 95 % "
         "interval, scenes taken as independent, for the policies of these training seeds (what other seeds would bring "
         "is in the table of seeds); in brackets, the paper's standard deviation over episodes.",
         header=("method", "kind", *map(_label, cells), "mean", "closeness", "seen", "decision [ms]"),
@@ -103,6 +104,34 @@ def differences(comparison: Comparison, protocol: str) -> Table:
         header=("method", "kind", *map(_label, cells)),
         rows=tuple(rows),
     )
+
+
+def worlds(factors: Sequence[Factor], found: Sequence[Point]) -> Table:
+    """One row a method and factor, the values of the factor in a row: score, and closeness where it says something."""
+    most = max(len(factor.values) for factor in factors)
+    rows = []
+    for factor in factors:
+        grouped: dict[str, list[Verdict]] = {}
+        for one in verdicts(factor, found):
+            grouped.setdefault(one.method, []).append(one)
+        for method, ours in grouped.items():
+            cells = [_world(one) for one in ours]
+            rows.append((f"{factor.label}: {', '.join(f'{x:g}' for x in factor.values)}", method, *cells))
+    return Table(
+        title="Worlds that differ from training by one factor",
+        note="Mean score [nat per target] ± half of its 95 % interval (of trained methods: over seeds, too), "
+        "and closeness in brackets: - where the omniscient planner itself is passed, and measures nothing. A column is "
+        "a value of the factor, in the order in which they are named.",
+        header=("factor", "method", *(f"value {i + 1}" for i in range(most))),
+        rows=tuple((*row, *[""] * (most + 2 - len(row))) for row in rows),
+    )
+
+
+def _world(one: Verdict) -> str:
+    score = f"{one.mean:.2f} ± {(one.ci95[1] - one.ci95[0]) / 2:.2f}"
+    if one.method == CEILING or one.closeness is None:
+        return score
+    return f"{score} ({'-' if one.closeness > 1 else f'{one.closeness:.2f}'})"
 
 
 def seeds(comparison: Comparison, protocol: str) -> Table:

@@ -21,6 +21,8 @@ from foveate.yardstick import closeness
 
 TARGETS = 5
 """In every scene, where their number is not the factor."""
+CEILING = "omniscient"
+"""The method that closeness is measured by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +181,7 @@ def verdicts(factor: Factor, found: Sequence[Point]) -> list[Verdict]:
 def _verdict(factor: Factor, group: Sequence[Point], grouped: Mapping[tuple[str, float], Sequence[Point]]) -> Verdict:
     first = group[0]
     scores = _by_scene(group)
-    best = grouped.get(("omniscient", first.value))
+    best = grouped.get((CEILING, first.value))
     nominal = _by_scene(grouped[first.method, factor.nominal])
     difference = paired(scores, nominal) if factor.same_scenes else None
     return Verdict(

@@ -6,7 +6,7 @@ from foveate.agent_settings import Quadrotor
 from foveate.learner_settings import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.scenario import Scenario, SceneSettings
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
 from foveate.target_settings import VelocityTarget
 from foveate.view_settings import FrustumView
 
@@ -84,6 +84,15 @@ PRESETS = {
         policy=PointerSettings(kind="pointer"),
         training=ActorCriticSettings(algorithm="actor-critic"),
     ),
+    # Where first beliefs err by as much as they claim, going to where a target is believed to be does not find it.
+    "search": Experiment(
+        scenario=Scenario(
+            sensor=SensorSettings(absence="used"),
+            scenes=SceneSettings(initial_error="consistent"),
+        ),
+        policy=PointerSettings(kind="pointer"),
+        training=ActorCriticSettings(algorithm="actor-critic", epochs=400),
+    ),
     "quadrotor": Experiment(
         scenario=QUADROTOR,
         policy=replace(DEEPER, length_m=QUADROTOR.view.depth_m),
@@ -115,3 +124,56 @@ PPO = {
     ),
 }
 """The model-free rival: as Stable-Baselines3 comes, and tuned for this task."""
+
+
+def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
+    """A preset's network and learner for another world: all their lengths grow with the depth of the view.
+
+    Raises ValueError for a preset that is not there.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
+    base = PRESETS[preset]
+    scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
+    policy, training = replace(base.policy, length_m=scale * base.policy.length_m), base.training
+    if isinstance(training, LearningSettings):
+        training = replace(training, softness=tuple((offset, scale * kappa) for offset, kappa in training.softness))
+    return Experiment(scenario=scenario, policy=policy, training=training)
+
+
+LEARNERS = {
+    "policy-gradient": TrainingSettings(),
+    "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
+    **PPO,
+}
+"""What an experiment can be trained by in the place of its own learner."""
+
+
+def adjusted(
+    experiment: Experiment,
+    algorithm: str | None = None,
+    epochs: int | None = None,
+    episodes: int | None = None,
+    steps: int | None = None,
+) -> Experiment:
+    """The experiment with another learner of LEARNERS, or budget, where these are given.
+
+    Raises ValueError for a learner that is not there, and a budget that its learner does not count.
+    """
+    if algorithm is not None:
+        if algorithm not in LEARNERS:
+            raise ValueError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
+        learner = LEARNERS[algorithm]
+        # An experiment's own settings of the learner that is asked for stay, but for the tuned ones.
+        if algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
+            experiment = with_learner(experiment, learner)
+    training = experiment.training
+    counted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
+    for name, value in (("epochs", epochs), ("episodes", episodes), ("steps", steps)):
+        if value is None:
+            continue
+        if name not in counted:
+            right = " or ".join(counted)
+            raise ValueError(f"{name} {value}: this algorithm does not count them: expected {right}")
+        training = replace(training, **{name: value})
+    return replace(experiment, training=training)

@@ -13,7 +13,6 @@ from foveate.episodes import SUITE_SEED, table1
 from foveate.evaluation import prepare
 from foveate.methods import (
     CHANGED_WORLDS,
-    PROTOCOLS,
     TRUE_VIEW,
     Bench,
     Method,
@@ -23,6 +22,7 @@ from foveate.methods import (
     true_view_methods,
 )
 from foveate.robustness import FACTORS, Factor, changed_bench
+from foveate.rollout import PROTOCOLS
 from foveate.scenes import Scene
 from foveate.settings import PRESETS, Experiment
 from foveate.units import InitialError, RowsUnit, TrainingUnit, Unit, WorldsUnit
@@ -49,7 +49,7 @@ class Study:
     methods: tuple[Method, ...]
     reference: str
     suite: Literal["paper", "true-view"] = "paper"
-    protocols: tuple[str, ...] = PROTOCOLS
+    protocols: tuple[str, ...] = tuple(PROTOCOLS)
     initial_errors: tuple[InitialError | None, ...] = (None,)
     factors: tuple[Factor, ...] = ()
     changed: tuple[str, ...] = ()

@@ -8,14 +8,20 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from foveate.beliefs import Belief, observation
+from foveate.geometry.fov import FieldOfView
+from foveate.models import belief
+from foveate.models.absence import given_unseen
 from foveate.poses import positions, rotation
 from foveate.problem import Observation, Problem
+from foveate.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +34,7 @@ class Seen:
 
 
 class Tracker:
-    """One Kalman filter a target, with the motion and the sensor of a `Problem`; means and covariances in the world.
+    """One Kalman filter a target, with the motion and the sensor of a scenario; means and covariances in the world.
 
     Each step of tau seconds: `predict`, decide on `inputs` or `observation`, move, detect, `update`. A detection with a
     new id begins a belief: N(z, V) in what is measured, the scenario's first belief, about 0, in the rest (one-point
@@ -37,16 +43,19 @@ class Tracker:
     A detection is refused where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
     chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 refuses one honest detection in
     ten thousand. One that is not finite is refused too. `refused` counts them by id. A target that has really jumped is
-    refused until it is dropped, and then begins anew. `gate` None takes whatever comes. Beliefs learn from detections
-    only, whatever the scenario's `sensor.absence` says.
+    refused until it is dropped, and then begins anew. `gate` None takes whatever comes. Where the scenario says
+    `sensor.absence = "used"`, a target without a detection is believed to be outside of the view from there on.
     """
 
-    def __init__(self, problem: Problem, *, forget_after_s: float = 10.0, gate: float | None = 0.9999) -> None:
+    def __init__(
+        self, problem: Problem | Scenario, *, forget_after_s: float = 10.0, gate: float | None = 0.9999
+    ) -> None:
         if not forget_after_s > 0:
             raise ValueError(f"forget_after_s = {forget_after_s}: expected > 0")
         if gate is not None and not 0 < gate < 1:
             raise ValueError(f"gate = {gate}: expected a probability between 0 and 1, or None")
-        period, sensor = problem.period, problem.sensor
+        problem = problem.problem() if isinstance(problem, Scenario) else problem
+        self._problem, period, sensor = problem, problem.period, problem.sensor
         self._tau, self._V = _array(period.tau), _array(period.V)
         self._A, self._B, self._W = (_array(x) for x in (period.motion.A, period.motion.B, period.motion.W))
         self._H, self._Z, self._sensor = _array(sensor.H), _array(problem.motion.Z), sensor
@@ -116,7 +125,13 @@ class Tracker:
         taken_in = {*updated, *appeared}
         refused = tuple(target for target in z_of if target not in taken_in)
         self.refused.update(refused)
+        if self._sensor.uses_absence:
+            self._look_in_vain(pose, [place[target] for target in place if target not in z_of])
         return Seen(updated=updated, appeared=appeared, refused=refused)
+
+    def belief(self) -> Belief:
+        """All beliefs as they are now: after `predict`, what a policy decides on."""
+        return Belief(self.mean, covariance=self.covariance, known_input=self._known_input)
 
     def inputs(self, pose: ArrayLike, steps_left: int, pad_to: int = 0) -> dict[str, np.ndarray]:
         """What an exported policy asks for, and more, by name: one decision, padded to `pad_to` targets at least.
@@ -124,23 +139,30 @@ class Tracker:
         A robot that goes on and on has as many `steps_left` at each step as there were in the middle of a training
         episode: with many more than that a policy may put off everything for ever.
         """
-        n, size = len(self.ids), max(len(self.ids), pad_to)
-        information = np.broadcast_to(np.eye(self.mean.shape[1]), (size, *self._first.shape)).copy()
-        information[:n] = np.linalg.inv(self.covariance)
-        padding = ((0, size - n), (0, 0))
-        return {
-            "pose": np.asarray(pose, np.float32)[None],
-            "mean": np.pad(self.mean, padding).astype(np.float32)[None],
-            "information": information.astype(np.float32)[None],
-            "present": (np.arange(size) < n)[None],
-            "known_input": np.pad(self._known_input, padding).astype(np.float32)[None],
+        now = self.observation(pose, steps_left, pad_to)
+        arrays = {name: getattr(now, name) for name in ("pose", "mean", "information", "known_input")}
+        return {name: np.asarray(array, np.float32)[None] for name, array in arrays.items()} | {
+            "present": np.asarray(now.present)[None],
             "steps_left": np.array([steps_left]),
         }
 
     def observation(self, pose: ArrayLike, steps_left: int, pad_to: int = 0) -> Observation:
         """The same for a policy in JAX; with one `pad_to` it is compiled once for that many targets."""
-        arrays = {name: jnp.asarray(array[0]) for name, array in self.inputs(pose, steps_left, pad_to).items()}
-        return Observation(step=jnp.asarray(max(0, self.step - 1)), left=arrays.pop("steps_left"), **arrays)
+        step = max(0, self.step - 1)
+        return observation(self.belief(), self._problem, np.asarray(pose, float), steps_left, pad_to, step)
+
+    def __repr__(self) -> str:
+        named = "".join(f", {target!r}" for target in self.ids[:5]) + ", .." * (len(self.ids) > 5)
+        return f"Tracker(step {self.step}, {len(self.ids)} targets{named})"
+
+    def _look_in_vain(self, pose: np.ndarray, places: list[int]) -> None:
+        """The targets at these places were not in view from this pose."""
+        here = rotation(pose), positions(pose)
+        for i in places:
+            left = _unseen(
+                self._sensor.view, *map(_traced, (self._Z, *here, self.mean[i], np.linalg.inv(self.covariance[i])))
+            )
+            self.mean[i], self.covariance[i] = left.mean, np.linalg.inv(left.information)
 
     def _begin(self, target: Hashable, mean: np.ndarray, covariance: np.ndarray) -> None:
         self.ids = (*self.ids, target)
@@ -184,6 +206,16 @@ class Tracker:
         here = rows[taken]
         self.mean[here], self.covariance[here], self.unseen_s[here] = mean[taken], covariance[taken], 0.0
         return taken
+
+
+@eqx.filter_jit
+def _unseen(view: FieldOfView, Z: Array, R: Array, t: Array, mean: Array, information: Array) -> belief.Belief:
+    """One belief, one program for any number of targets."""
+    return given_unseen(belief.Belief(mean, information), Z, lambda points: view.contains((points - t) @ R))
+
+
+def _traced(x: np.ndarray) -> Array:
+    return jnp.asarray(x, float)
 
 
 def _array(x: Any) -> np.ndarray:

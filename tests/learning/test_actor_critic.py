@@ -1,6 +1,7 @@
 """The actor-critic against textbook formulas and a world of known value; it learns, and goes on where it stopped."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from foveate.checkpoint import BEST, load_run
 from foveate.episodes import training_episode
 from foveate.learner_settings import ActorCriticSettings
 from foveate.learning import actor_critic
-from foveate.learning.actor_critic import Samples, advantages, entropy, log_density, loss, tries
+from foveate.learning.actor_critic import Samples, advantages, entropy, gather, log_density, loss, tries
 from foveate.learning.judging import held_out_episodes, judge
 from foveate.learning.training import train
 from foveate.policies.attention import AttentionSettings
@@ -131,6 +132,41 @@ def test_loss_is_ppo_s_clipped_one():
         choice = float(entropy(jax.tree.map(lambda x, i=i: x[i], modes)))
         total += (float(value[i]) - earned[i]) ** 2 - gain - settings().entropy_weight * choice
     np.testing.assert_allclose(loss(policy, critic, batch, spread, settings()), total / counts.sum(), rtol=1e-9)
+
+
+MIXED = replace(TINY.scenario.scenes, steps=None)
+"""Episodes of three and of six steps in one batch."""
+
+
+def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_end_counts_nothing():
+    """The mean earned, the steps that count and the scale of advantages, from the tries one by one."""
+    problem = TINY.scenario.problem()
+    chosen = replace(settings(), protocols=("surrogate", "true"), episodes=12)
+    learner = actor_critic.begin(problem, NETWORK.policy(problem, jax.random.key(0)), chosen, jax.random.key(1))
+    spread, key = jnp.asarray(0.3), jax.random.key(6)
+    samples, earned = eqx.filter_jit(gather)(problem, MIXED, chosen, learner, spread, key)
+    prior = np.linalg.slogdet(np.asarray(problem.prior_information))[1]
+
+    def one(scene_key, try_key, name):
+        episode = training_episode(problem, MIXED, scene_key, noise=True)
+        return tries(problem, learner.policy, episode, PROTOCOLS[name], "terminal", spread, try_key)
+
+    each, advantage, counts = [], [], []
+    for i, name in enumerate(chosen.protocols):
+        scene_keys, try_keys = (jax.random.split(k, 6) for k in jax.random.split(jax.random.fold_in(key, i)))
+        tried = jax.jit(jax.vmap(partial(one, name=name)))(scene_keys, try_keys)
+        value = jax.vmap(jax.vmap(learner.critic))(tried.observation)
+        each += list(np.sum(tried.reward, axis=1))
+        counts.append(np.asarray(tried.counts))
+        advantage.append(jax.vmap(advantages, (0, 0, 0, None))(tried.reward, value, tried.counts, chosen.gae_lambda))
+    counts, advantage = np.concatenate(counts), np.concatenate(advantage)
+    assert set(counts.sum(axis=1)) == {3, 6}
+    np.testing.assert_allclose(earned, prior + np.mean(each), rtol=1e-9)
+    np.testing.assert_array_equal(samples.counts.reshape(counts.shape), counts)
+    real = advantage[counts]
+    np.testing.assert_allclose(samples.advantage[counts.ravel()], (real - real.mean()) / real.std(), atol=1e-6)
+    chances = [np.asarray(samples.log_density.reshape(counts.shape)[rows]) for rows in (slice(0, 6), slice(6, 12))]
+    assert not np.allclose(*chances), "the halves are of different episodes"
 
 
 class Interrupted(Exception):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import kstest, truncnorm
+from scipy.stats import norm, truncnorm
 
 from foveate.evaluation import prepare, simulate
 from foveate.measures import chi_square_band
@@ -23,11 +23,37 @@ def gaussian(mean, covariance) -> Belief:
 
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_points_stand_for_a_standard_normal(dimension):
-    points = standard_points(dimension)
-    np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
-    np.testing.assert_allclose(points.T @ points / len(points), np.eye(dimension), atol=1e-12)
+    """Weights, mean and covariance to rounding; along any direction the weighted steps follow the normal's curve."""
+    points, weights = standard_points(dimension)
+    np.testing.assert_allclose([weights.sum(), *(weights @ points)], [1, *[0] * dimension], atol=1e-12)
+    np.testing.assert_allclose(points.T @ (weights[:, None] * points), np.eye(dimension), atol=1e-12)
     for direction in np.random.default_rng(0).normal(size=(20, dimension)):
-        assert kstest(points @ direction / np.linalg.norm(direction), "norm").statistic < 0.05
+        along = points @ direction / np.linalg.norm(direction)
+        order = np.argsort(along)
+        assert np.abs(np.cumsum(weights[order]) - norm.cdf(along[order])).max() < 0.07
+
+
+@pytest.mark.parametrize("share", [0.5, 0.2, 0.1, 0.06])
+def test_what_is_left_is_honest_however_little_it_is(share):
+    """Half-planes of 24 directions in view, but for a share of the belief: NEES (2 is honest) of a truth that is a
+    truncated normal, with scipy's moments.
+    """
+    far = truncnorm(norm.isf(share), np.inf)
+    belief, found = gaussian([0.0, 0.0], np.eye(2)), []
+    for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        left = given_unseen(belief, jnp.eye(2), lambda points, along=along: points @ along < norm.isf(share))
+        error = far.mean() * along - np.asarray(left.mean)
+        truth = np.eye(2) + (far.var() - 1) * np.outer(along, along) + np.outer(error, error)
+        found.append(np.trace(np.asarray(left.information) @ truth))
+    assert np.median(found) == pytest.approx(2.0, abs=0.1)
+    assert 1.7 < min(found) <= max(found) < 2.4
+
+
+def test_a_belief_with_next_to_nothing_outside_stays_as_it_is():
+    belief = gaussian([0.0, 0.0], np.eye(2))
+    left = given_unseen(belief, jnp.eye(2), lambda points: points[:, 0] < norm.isf(0.01))
+    np.testing.assert_array_equal(left.information, belief.information)
 
 
 @pytest.mark.parametrize("edge", [-1.0, 0.0, 0.7])

@@ -1,19 +1,13 @@
 """`foveate train`."""
 
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Iterator
-    from types import FrameType
-
-    from foveate.cli.common import Bar
-    from foveate.learning.judging import Check, Outcome
+    from foveate.learning.judging import Outcome
     from foveate.settings import Experiment
 
 METHOD = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
@@ -28,10 +22,11 @@ class Train:
     same machine.
     """
 
-    preset: Literal["paper", "best", "true-view", "quadrotor"] | None = None
+    preset: Literal["paper", "best", "true-view", "search", "quadrotor"] | None = None
     """paper (default): the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs
     where to go next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the
-    same for what is really seen alone. quadrotor: a flying camera over constant-velocity targets in space, some
+    same for what is really seen alone. search: the same where first beliefs err by as much as they claim, with a filter
+    that also learns from looking in vain. quadrotor: a flying camera over constant-velocity targets in space, some
     minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
@@ -87,63 +82,30 @@ class Train:
                 raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
-        """Train with a bar that counts epochs, of PPO steps."""
+        """Train, and say how to go on where it is interrupted or fails."""
+        import sys
+
         from foveate.checkpoint import CONFIG
-        from foveate.cli.common import Bar
         from foveate.learner_settings import PPOSettings
-        from foveate.learning.learner import train
+        from foveate.progress import train_watched
 
-        settings = experiment.training
-        by_ppo = isinstance(settings, PPOSettings)
-        total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
-        with Bar(f"training {out}", total, unit) as bar, _patience(bar, not by_ppo) as asked:
-
-            def report(check: "Check", _: int) -> None:
-                done, rate = check.epoch, check.epochs_per_s
-                if by_ppo:
-                    done, rate = check.env_steps, check.epochs_per_s * check.env_steps / check.epoch
-                bar.update(done, f"held-out {check.held_out:.2f}  {rate:.0f}/s")
-                if check.event:
-                    bar.say(f"epoch {check.epoch}: {check.event}")
-                if asked.is_set():  # here all of the check is on the disk
-                    raise KeyboardInterrupt
-
-            try:
-                return train(experiment, out, seed, self.resume is not None, report)
-            except (KeyboardInterrupt, OSError) as error:
-                by_hand = isinstance(error, KeyboardInterrupt)
-                if by_hand or (out / CONFIG).exists():
-                    bar.say(f"{'interrupted' if by_hand else 'failed'}: {_kept(out, by_ppo)}")
-                raise
+        try:
+            return train_watched(experiment, out, str(out), seed, self.resume is not None)
+        except (KeyboardInterrupt, OSError) as error:
+            by_hand = isinstance(error, KeyboardInterrupt)
+            if by_hand or (out / CONFIG).exists():
+                how = _kept(out, isinstance(experiment.training, PPOSettings))
+                print(f"{'interrupted' if by_hand else 'failed'}: {how}", file=sys.stderr)
+            raise
 
     def _experiment(self) -> "Experiment":
         from foveate.configuration import load_toml
-        from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
-        from foveate.settings import PPO, PRESETS, Experiment, with_learner
+        from foveate.settings import PRESETS, Experiment, adjusted
 
         if self.preset is not None and self.config is not None:
             raise ValueError("--preset and --config: each is a whole experiment: give one of them")
         experiment = load_toml(Experiment, self.config) if self.config is not None else PRESETS[self.preset or "paper"]
-        learners = {
-            "policy-gradient": TrainingSettings(),
-            "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
-            **PPO,
-        }
-        if self.algorithm is not None:
-            learner = learners[self.algorithm]
-            # A file's own settings of the learner that is asked for stay, but for the tuned ones.
-            if self.algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
-                experiment = with_learner(experiment, learner)
-        training = experiment.training
-        wanted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
-        for name in ("epochs", "episodes", "steps"):
-            if (value := getattr(self, name)) is None:
-                continue
-            if name not in wanted:
-                right = " or ".join(f"--{other}" for other in wanted)
-                raise ValueError(f"--{name}: this algorithm does not count them: expected {right}")
-            training = replace(training, **{name: value})
-        return replace(experiment, training=training)
+        return adjusted(experiment, self.algorithm, self.epochs, self.episodes, self.steps)
 
 
 def _kept(out: Path, by_ppo: bool) -> str:
@@ -155,29 +117,3 @@ def _kept(out: Path, by_ppo: bool) -> str:
     if not (out / CONFIG).exists():
         return "nothing was trained yet"
     return f"its last check is kept: go on with  foveate train --resume {out}"
-
-
-@contextmanager
-def _patience(bar: "Bar", finishes: bool) -> "Iterator[threading.Event]":
-    """Where a training `finishes` its check, the first ctrl-C sets the event and the second one interrupts."""
-    import signal
-    import threading
-
-    asked = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
-
-    def ask(number: int, frame: "FrameType | None") -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
-        bar.say("stopping when the check that is under way is saved; ctrl-C once more stops at once")
-
-    # A caller's own way with ctrl-C is left alone, and only the main thread may choose one.
-    mine = finishes and before is signal.default_int_handler and threading.current_thread() is threading.main_thread()
-    if mine:
-        signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        if mine:
-            signal.signal(signal.SIGINT, before)

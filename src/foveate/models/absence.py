@@ -19,21 +19,28 @@ from foveate.types import Point
 IsInside = Callable[[Float[Array, "points d"]], Bool[Array, " points"]]
 POINTS = 256
 """Positions that stand for a belief."""
-LEAST_OUTSIDE = 0.02
+WIDER = 1.5
+"""They are spread so much wider than the belief, and weighed for it: what is left of a belief lies in its tails."""
+LEAST_OUTSIDE = 0.05
 """Where less of a belief than that is outside of the view, the belief itself was wrong: it stays as it is."""
 
 
-def standard_points(dimension: int, count: int = POINTS) -> Float[np.ndarray, "count d"]:
-    """Points that stand for N(0, I), spread evenly; their mean is 0 and their covariance I, to rounding.
+def standard_points(
+    dimension: int, count: int = POINTS
+) -> tuple[Float[np.ndarray, "count d"], Float[np.ndarray, " count"]]:
+    """Points and weights that stand for N(0, I); their weights sum to 1, their mean is 0 and their covariance I.
 
     The additive recurrence on the powers of the generalised golden ratio, g^(d + 1) = g + 1 (Roberts 2018), through the
-    inverse of the normal distribution function, and then whitened.
+    inverse of the normal distribution function, spread `WIDER` and weighed by the ratio of the densities (importance
+    sampling), then whitened.
     """
     ratio = max(np.roots([1.0, *[0.0] * (dimension - 1), -1.0, -1.0]).real)
     steps = ratio ** -np.arange(1.0, dimension + 1)
-    points = ndtri((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
-    points -= points.mean(axis=0)
-    return np.linalg.solve(np.linalg.cholesky(points.T @ points / count), points.T).T
+    normal = ndtri((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
+    weights = np.exp((1.0 - WIDER**2) / 2.0 * np.sum(normal**2, axis=1))
+    weights /= weights.sum()
+    points = normal - weights @ normal
+    return np.linalg.solve(np.linalg.cholesky(points.T @ (weights[:, None] * points)), points.T).T, weights
 
 
 def given_unseen(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
@@ -47,11 +54,12 @@ def given_unseen(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) 
     cross = multiply(covariance, Z.T)
     spread = symmetrise(multiply(Z, cross))
     middle = Z @ belief.mean
-    points: Float[Array, "points d"] = middle + jnp.asarray(standard_points(len(Z)), float) @ cholesky_spd(spread).T
-    outside = ~is_inside(points)
-    share = jnp.mean(outside)
-    says_something = (share < 1.0) & (share >= LEAST_OUTSIDE)
-    moved, left = _moments(points, outside)
+    standard, weights = (jnp.asarray(numbers, float) for numbers in standard_points(len(Z)))
+    points: Float[Array, "points d"] = middle + standard @ cholesky_spd(spread).T
+    inside = is_inside(points)
+    weights = jnp.where(inside, 0.0, weights)
+    says_something = jnp.any(inside) & (jnp.sum(weights) >= LEAST_OUTSIDE)
+    moved, left = _moments(points, weights)
     gain = multiply(cross, inverse_spd(spread))
     shrunk = covariance + multiply(multiply(gain, left - spread), gain.T)
     safe = symmetrise(jnp.where(says_something, shrunk, covariance))
@@ -61,9 +69,10 @@ def given_unseen(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) 
     )
 
 
-def _moments(points: Float[Array, "points d"], chosen: Bool[Array, " points"]) -> tuple[Point, Float[Array, "d d"]]:
-    """Mean and covariance of the chosen points; of none, zeros."""
-    weights = chosen / jnp.maximum(jnp.sum(chosen), 1)
-    mean = weights @ points
+def _moments(points: Float[Array, "points d"], weights: Float[Array, " points"]) -> tuple[Point, Float[Array, "d d"]]:
+    """Weighted mean and covariance of the points; of no weight at all, zeros."""
+    total = jnp.sum(weights)
+    shares = weights / jnp.where(total > 0, total, 1.0)
+    mean = shares @ points
     apart = points - mean
-    return mean, multiply(apart.T, weights[:, None] * apart)
+    return mean, multiply(apart.T, shares[:, None] * apart)

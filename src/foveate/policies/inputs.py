@@ -60,7 +60,7 @@ def rich_inputs(observation: Observation, space: Space, length_m: float) -> Floa
     """Numbers about each target: as the paper's network has them in the body frame, then more that follows from them.
 
     Directions, logarithms of ranges, information matrices as asinh, the steps that are left, how many targets there
-    are, and the input that drives each: sizes that say less and directions that say more than plain coordinates.
+    are, and the known input of each: sizes that say less and directions that say more than plain coordinates.
     """
     d, n = space.dimension, len(observation.present)
     _, usual = policy_inputs(observation, space, "body", length_m, "asinh")
