@@ -9,7 +9,7 @@ import shutil
 import time
 from pathlib import Path
 
-from foveate.cli.common import Bar, compile_fast, keep_compiled, print_table
+from foveate.cli.common import compile_fast, keep_compiled, print_table
 
 compile_fast()  # the first run waits for compilation more than for training: this takes 10 s off it
 
@@ -23,7 +23,8 @@ from foveate.evaluation import evaluate, prepare, simulate
 from foveate.figures import learning_curve, trajectory_figure
 from foveate.files import write_json
 from foveate.film import film
-from foveate.learning.training import METRICS, train
+from foveate.learning.training import METRICS
+from foveate.progress import train_watched
 from foveate.published import MODEL_BASED, MODEL_FREE
 from foveate.rollout import PROTOCOLS
 from foveate.settings import PRESETS
@@ -39,10 +40,7 @@ def main() -> None:
     shutil.rmtree(OUT, ignore_errors=True)
     experiment = PRESETS["paper"]
     print(f"training into {OUT}: {experiment.training.epochs} epochs of {experiment.training.episodes} episodes")
-    with Bar("training", experiment.training.epochs, "epochs") as bar:
-        outcome = train(
-            experiment, OUT, seed=0, report=lambda check, _: bar.update(check.epoch, f"held-out {check.held_out:.2f}")
-        )
+    outcome = train_watched(experiment, OUT, str(OUT))
     trained = time.perf_counter()
     print(f"trained in {trained - began:.0f} s, compilation included; held-out score {outcome.best_score:.2f}")
 

@@ -79,7 +79,7 @@ def main() -> None:
     for name, position in robot.rough_positions().items():
         tracker.add(name, position)
     # The robot goes on and on: at every step as many are left as there were in the middle of a training episode.
-    look = partial(tracker.observation, steps_left=round(experiment.scenario.scenes.mean_horizon / 2), pad_to=MOST)
+    look = partial(tracker.observation, steps_left=experiment.scenario.scenes.middle_steps_left, pad_to=MOST)
     decide(look(robot.pose))  # compiled before the robot moves
 
     Z = np.asarray(problem.motion.Z)

@@ -23,6 +23,12 @@ def not_negative(settings: object, *names: str) -> None:
         require(getattr(settings, name) >= 0, name, getattr(settings, name), "expected >= 0")
 
 
+def seed_number(seed: int, name: str) -> None:
+    """Raise ValueError for a seed that is no seed."""
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
+
+
 def matrix(value: Matrix, name: str, shape: tuple[int | None, int | None]) -> np.ndarray:
     """The matrix that rows of numbers make; None in `shape` is any size."""
     rows = {len(row) for row in value}

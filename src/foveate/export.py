@@ -114,8 +114,7 @@ def metadata_of(experiment: Experiment, policy: Policy) -> dict[str, str]:
         "output": output,
         "tau_s": period.tau.tolist()[0] if len(period.tau) == 1 else period.tau.tolist(),
         "trained_targets": [scenario.scenes.targets_min, scenario.scenes.targets_max],
-        # The middle of a training episode.
-        "steps_left": round(scenario.scenes.mean_horizon / 2),
+        "steps_left": scenario.scenes.middle_steps_left,
         "model": model,
     }
     plain = {

@@ -132,6 +132,11 @@ class SceneSettings:
         numbers = range(self.targets_min, self.targets_max + 1)
         return sum(map(self.horizon, numbers)) / len(numbers)
 
+    @property
+    def middle_steps_left(self) -> int:
+        """The steps to the end in the middle of an episode: what a robot without an end tells its policy every time."""
+        return round(self.mean_horizon / 2)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:

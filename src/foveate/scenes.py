@@ -1,9 +1,12 @@
 """Scenes: where agent and targets start and how the targets drift. In memory and in files."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from foveate.files import read_json, write_json
 from foveate.geometry.space import Space
@@ -34,10 +37,13 @@ class Scene:
 
 def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
     """Write a scenes file."""
-    rows = [
-        {"id": s.id, "agent": s.agent, "targets": s.targets, "drift": s.drift, "horizon": s.horizon} for s in scenes
-    ]
-    write_json(path, {"format": FORMAT, "version": VERSION, "scenes": rows})
+    write_json(path, {"format": FORMAT, "version": VERSION, "scenes": [asdict(scene) for scene in scenes]})
+
+
+def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
+    """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
+    rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
+    return _scenes(json.loads(rows), "scenes", space, settings)
 
 
 def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
@@ -53,13 +59,16 @@ def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene
         raise ValueError(f"{path}: version {data.get('version')!r}: this foveate reads version {VERSION}")
     if unknown := sorted(set(data) - known):
         raise ValueError(f"{path}: unknown key {unknown[0]!r}: expected {', '.join(sorted(known))}")
-    rows = data.get("scenes")
+    return _scenes(data.get("scenes"), f"{path}: scenes", space, settings)
+
+
+def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> list[Scene]:
     if not isinstance(rows, list) or not rows:
-        raise ValueError(f"{path}: scenes: expected a list of at least one scene")
-    scenes = [_scene(row, f"{path}: scenes[{i}]", space, settings) for i, row in enumerate(rows)]
+        raise ValueError(f"{where}: expected a list of at least one scene")
+    scenes = [_scene(row, f"{where}[{i}]", space, settings) for i, row in enumerate(rows)]
     ids = [scene.id for scene in scenes]
     if twice := [name for name in ids if ids.count(name) > 1]:
-        raise ValueError(f"{path}: id {twice[0]!r} is given twice: expected one scene an id")
+        raise ValueError(f"{where}: id {twice[0]!r} is given twice: expected one scene an id")
     return scenes
 
 

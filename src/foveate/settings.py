@@ -115,3 +115,56 @@ PPO = {
     ),
 }
 """The model-free rival: as Stable-Baselines3 comes, and tuned for this task."""
+
+
+def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
+    """A preset's network and learner for another world: all their lengths grow with the depth of the view.
+
+    Raises ValueError for a preset that is not there.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
+    base = PRESETS[preset]
+    scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
+    policy, training = replace(base.policy, length_m=scale * base.policy.length_m), base.training
+    if isinstance(training, LearningSettings):
+        training = replace(training, softness=tuple((offset, scale * kappa) for offset, kappa in training.softness))
+    return Experiment(scenario=scenario, policy=policy, training=training)
+
+
+LEARNERS = {
+    "policy-gradient": TrainingSettings(),
+    "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
+    **PPO,
+}
+"""What an experiment can be trained by in the place of its own learner."""
+
+
+def adjusted(
+    experiment: Experiment,
+    algorithm: str | None = None,
+    epochs: int | None = None,
+    episodes: int | None = None,
+    steps: int | None = None,
+) -> Experiment:
+    """The experiment with another learner of LEARNERS, or budget, where these are given.
+
+    Raises ValueError for a learner that is not there, and a budget that its learner does not count.
+    """
+    if algorithm is not None:
+        if algorithm not in LEARNERS:
+            raise ValueError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
+        learner = LEARNERS[algorithm]
+        # An experiment's own settings of the learner that is asked for stay, but for the tuned ones.
+        if algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
+            experiment = with_learner(experiment, learner)
+    training = experiment.training
+    counted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
+    for name, value in (("epochs", epochs), ("episodes", episodes), ("steps", steps)):
+        if value is None:
+            continue
+        if name not in counted:
+            right = " or ".join(counted)
+            raise ValueError(f"{name} {value}: this algorithm does not count them: expected {right}")
+        training = replace(training, **{name: value})
+    return replace(experiment, training=training)

@@ -8,14 +8,15 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from foveate.beliefs import Belief, observation
 from foveate.poses import positions, rotation
 from foveate.problem import Observation, Problem
+from foveate.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +29,7 @@ class Seen:
 
 
 class Tracker:
-    """One Kalman filter a target, with the motion and the sensor of a `Problem`; means and covariances in the world.
+    """One Kalman filter a target, with the motion and the sensor of a scenario; means and covariances in the world.
 
     Each step of tau seconds: `predict`, decide on `inputs` or `observation`, move, detect, `update`. A detection with a
     new id begins a belief: N(z, V) in what is measured, the scenario's first belief, about 0, in the rest (one-point
@@ -41,12 +42,15 @@ class Tracker:
     only, whatever the scenario's `sensor.absence` says.
     """
 
-    def __init__(self, problem: Problem, *, forget_after_s: float = 10.0, gate: float | None = 0.9999) -> None:
+    def __init__(
+        self, problem: Problem | Scenario, *, forget_after_s: float = 10.0, gate: float | None = 0.9999
+    ) -> None:
         if not forget_after_s > 0:
             raise ValueError(f"forget_after_s = {forget_after_s}: expected > 0")
         if gate is not None and not 0 < gate < 1:
             raise ValueError(f"gate = {gate}: expected a probability between 0 and 1, or None")
-        period, sensor = problem.period, problem.sensor
+        problem = problem.problem() if isinstance(problem, Scenario) else problem
+        self._problem, period, sensor = problem, problem.period, problem.sensor
         self._tau, self._V = _array(period.tau), _array(period.V)
         self._A, self._B, self._W = (_array(x) for x in (period.motion.A, period.motion.B, period.motion.W))
         self._H, self._Z, self._sensor = _array(sensor.H), _array(problem.motion.Z), sensor
@@ -118,29 +122,31 @@ class Tracker:
         self.refused.update(refused)
         return Seen(updated=updated, appeared=appeared, refused=refused)
 
+    def belief(self) -> Belief:
+        """All beliefs as they are now: after `predict`, what a policy decides on."""
+        return Belief(self.mean, covariance=self.covariance, known_input=self._known_input)
+
     def inputs(self, pose: ArrayLike, steps_left: int, pad_to: int = 0) -> dict[str, np.ndarray]:
         """What an exported policy asks for, and more, by name: one decision, padded to `pad_to` targets at least.
 
         A robot that goes on and on has as many `steps_left` at each step as there were in the middle of a training
         episode: with many more than that a policy may put off everything for ever.
         """
-        n, size = len(self.ids), max(len(self.ids), pad_to)
-        information = np.broadcast_to(np.eye(self.mean.shape[1]), (size, *self._first.shape)).copy()
-        information[:n] = np.linalg.inv(self.covariance)
-        padding = ((0, size - n), (0, 0))
-        return {
-            "pose": np.asarray(pose, np.float32)[None],
-            "mean": np.pad(self.mean, padding).astype(np.float32)[None],
-            "information": information.astype(np.float32)[None],
-            "present": (np.arange(size) < n)[None],
-            "known_input": np.pad(self._known_input, padding).astype(np.float32)[None],
+        now = self.observation(pose, steps_left, pad_to)
+        arrays = {name: getattr(now, name) for name in ("pose", "mean", "information", "known_input")}
+        return {name: np.asarray(array, np.float32)[None] for name, array in arrays.items()} | {
+            "present": np.asarray(now.present)[None],
             "steps_left": np.array([steps_left]),
         }
 
     def observation(self, pose: ArrayLike, steps_left: int, pad_to: int = 0) -> Observation:
         """The same for a policy in JAX; with one `pad_to` it is compiled once for that many targets."""
-        arrays = {name: jnp.asarray(array[0]) for name, array in self.inputs(pose, steps_left, pad_to).items()}
-        return Observation(step=jnp.asarray(max(0, self.step - 1)), left=arrays.pop("steps_left"), **arrays)
+        step = max(0, self.step - 1)
+        return observation(self.belief(), self._problem, np.asarray(pose, float), steps_left, pad_to, step)
+
+    def __repr__(self) -> str:
+        named = "".join(f", {target!r}" for target in self.ids[:5]) + ", .." * (len(self.ids) > 5)
+        return f"Tracker(step {self.step}, {len(self.ids)} targets{named})"
 
     def _begin(self, target: Hashable, mean: np.ndarray, covariance: np.ndarray) -> None:
         self.ids = (*self.ids, target)

@@ -16,7 +16,7 @@ class Export:
     """
 
     run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
-    """Run folder of `foveate train`."""
+    """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
     out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.onnx")]
     """Where to write it."""
     opset: int = 17
@@ -24,14 +24,14 @@ class Export:
 
     def run_command(self) -> int:
         """Load, translate, write, and say what goes in and comes out."""
-        from foveate.cli.common import check_output, experiment_of, policy_of
+        from foveate.cli.common import check_output
         from foveate.export import export, inputs_of
+        from foveate.runs import load
 
         if self.out.suffix.lower() != ".onnx":
             raise ValueError(f"{self.out}: expected a name that ends in .onnx")
         check_output(self.out)
-        experiment = experiment_of(self.run)
-        policy = policy_of(self.run, "policy", experiment)
+        experiment, policy, _ = load(self.run)
         export(experiment, policy, self.out, self.opset)
         problem = experiment.scenario.problem()
         inputs = ", ".join(f"{each.name} {_shape(each.shape)}" for each in inputs_of(policy, problem))

@@ -27,7 +27,7 @@ class Plan:
 
       foveate plan --scenes table1 --omniscient
       foveate plan --scenes table1 --starts 16 --protocol true --json plan.json
-      foveate plan --scenes table1 --run runs/first --refine 15
+      foveate plan --scenes table1 --run best --refine 15
     """
 
     scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
@@ -39,8 +39,8 @@ class Plan:
     """Whose world to plan in."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset."""
-    run: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
-    """Run folder of foveate train: its world, and with --refine its policy."""
+    run: Annotated[str | None, tyro.conf.arg(metavar="RUN|PRESET")] = None
+    """Run folder of foveate train, or a preset: its world, and with --refine its trained policy."""
     refine: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Steps of ascent from what the policy of --run would do."""
     omniscient: bool = False
@@ -64,9 +64,12 @@ class Plan:
 
     def run_command(self) -> int:
         """Plan, print the summary, write the file."""
-        from foveate.cli.common import Bar, check_output, check_seed, print_summary, scenes_of
+        from foveate.cli.common import check_output, check_seed, print_table
         from foveate.configuration import digest
         from foveate.files import write_json
+        from foveate.progress import Bar
+        from foveate.results import summary_table
+        from foveate.runs import scenes_of
         from foveate.summary import result, summarise
 
         check_output(self.json, *([self.scenes] if self.scenes else []))
@@ -82,7 +85,9 @@ class Plan:
                 before = len(rows)
                 rows += self._rows(experiment, scenes, protocol, lambda done, b=before: bar.update(b + done))
         summary = summarise(rows, experiment.scenario.problem().motion.state_size)
-        print_summary(f"plans on {chosen}", self.episodes, summary)
+        title = f"plans on {chosen}: score per target [nat], {self.episodes} episode(s) a scene"
+        table = summary_table(title, summary)
+        print_table(table.title, table.header, table.rows)
         if self.json is not None:
             facts = {"scenes": chosen, "experiment": digest(experiment)}
             write_json(self.json, result(rows, summary, facts))
@@ -109,25 +114,25 @@ class Plan:
             raise ValueError("--refine N: begins at the policy's own sequence; no other option of plans fits")
 
     def _experiment(self) -> "Experiment":
-        from foveate.cli.common import experiment_of
         from foveate.configuration import load_toml
+        from foveate.runs import experiment_of
         from foveate.settings import PRESETS, Experiment
 
         if self.config is not None:
             return load_toml(Experiment, self.config)
         if self.run is not None:
-            return experiment_of(str(self.run))
+            return experiment_of(self.run)
         preset = self.preset or "paper"
         if preset not in PRESETS:
             raise ValueError(f"--preset {preset}: presets are {', '.join(PRESETS)}")
         return PRESETS[preset]
 
     def _rows(self, experiment: "Experiment", scenes: "list[Scene]", protocol: str, report) -> "list[Row]":
-        from foveate.checkpoint import load_run
         from foveate.evaluation import prepare
         from foveate.files import cache_folder
         from foveate.planned import planner, planner_rows
         from foveate.planning.receding import OpenLoop
+        from foveate.runs import load
         from foveate.yardstick import omniscient, omniscient_rows
 
         problem, settings = experiment.scenario.problem(), self._settings(protocol)
@@ -137,7 +142,7 @@ class Plan:
             return omniscient_rows(
                 suite, protocol, omniscient(suite, protocol, settings, cache_folder("plans"), report)
             )
-        policy = None if self.refine is None or self.run is None else load_run(self.run)[1]
+        policy = None if self.refine is None or self.run is None else load(self.run)[1]
 
         def policy_of(horizon: int) -> "Policy":
             return (

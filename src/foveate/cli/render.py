@@ -15,7 +15,7 @@ class Render:
     """
 
     run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
-    """Run folder of `foveate train`; with hand-made methods a preset's name will do."""
+    """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.gif|.mp4|.png|.pdf|.svg")]
     """.gif or .mp4: the episode as it unfolds. .png, .pdf or .svg: its course in four pictures."""
     scene: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ..")] = ()
@@ -34,10 +34,11 @@ class Render:
     def run_command(self) -> int:
         """Simulate the scenes, draw them, say what was written."""
         from foveate.animation import animate
-        from foveate.cli.common import check_methods, check_output, check_seed, experiment_of, policy_of, scenes_of
+        from foveate.cli.common import check_methods, check_output, check_seed
         from foveate.evaluation import prepare
         from foveate.figures import trajectory_figure
         from foveate.film import films
+        from foveate.runs import experiment_of, policy_of, scenes_of
 
         moving = self.out.suffix.lower() in (".gif", ".mp4")
         if not moving and self.out.suffix.lower() not in (".png", ".pdf", ".svg"):

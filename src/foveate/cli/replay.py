@@ -16,7 +16,7 @@ class Replay:
     """
 
     run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
-    """Run folder of `foveate train`; with hand-made methods a preset's name will do."""
+    """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING.csv")]
     """Header time_s,track_id,x_m,y_m[,z_m]."""
     method: tuple[str, ...] = ("all",)
@@ -45,19 +45,18 @@ class Replay:
         import jax.numpy as jnp
         import numpy as np
 
-        from foveate.cli.common import Bar, check_methods, check_output, check_seed, experiment_of, policy_of
+        from foveate.cli.common import check_methods, check_output, check_seed
         from foveate.files import write_json
+        from foveate.progress import Bar
         from foveate.recorded import load_recording, window
         from foveate.replay import prepare_replay, replay, result, warnings_for
+        from foveate.runs import experiment_of, policy_of
 
         methods = check_methods(self.method)
         check_output(self.out, folder=True)
         check_output(self.json, self.recording)
         check_seed(self.seed)
         experiment = experiment_of(self.run)
-        if "all" in self.method and not Path(self.run).is_dir():
-            print(f"{self.run} is a preset without a trained policy: hand-made methods only", file=sys.stderr)
-            methods = methods[1:]
         recording = window(load_recording(self.recording), self.start, self.end)
         box = np.stack(recording.extent)
         policies = {name: policy_of(self.run, name, experiment, jnp.asarray(box, float)) for name in methods}

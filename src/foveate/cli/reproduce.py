@@ -50,10 +50,11 @@ class Reproduce:
 
     def run_command(self) -> int:
         """Do what is not done yet, write the files, print the tables."""
-        from foveate.cli.common import Bar, compile_fast
+        from foveate.cli.common import compile_fast
 
         if self.quick:
             compile_fast()
+        from foveate.progress import Bar
         from foveate.publication import publish
         from foveate.reproduction import reproduce
         from foveate.study import units

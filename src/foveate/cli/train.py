@@ -1,13 +1,13 @@
 """`foveate train`."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 if TYPE_CHECKING:
-    from foveate.learning.judging import Check, Outcome
+    from foveate.learning.judging import Outcome
     from foveate.settings import Experiment
 
 METHOD = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
@@ -81,56 +81,25 @@ class Train:
                 raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
-        """Train with a bar that counts epochs, of PPO steps."""
-        from foveate.cli.common import Bar
+        """Train, and say how to go on where it is interrupted."""
+        import sys
+
         from foveate.learner_settings import PPOSettings
-        from foveate.learning.learner import train
+        from foveate.progress import train_watched
 
-        settings = experiment.training
-        by_ppo = isinstance(settings, PPOSettings)
-        total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
-        with Bar(f"training {out}", total, unit) as bar:
-
-            def report(check: "Check", _: int) -> None:
-                done, rate = check.epoch, check.epochs_per_s
-                if by_ppo:
-                    done, rate = check.env_steps, check.epochs_per_s * check.env_steps / check.epoch
-                bar.update(done, f"held-out {check.held_out:.2f}  {rate:.0f}/s")
-                if check.event:
-                    bar.say(f"epoch {check.epoch}: {check.event}")
-
-            try:
-                return train(experiment, out, seed, self.resume is not None, report)
-            except KeyboardInterrupt:
-                how = "its best so far is kept" if by_ppo else f"go on with  foveate train --resume {out}"
-                bar.say(f"interrupted: {how}")
-                raise
+        try:
+            return train_watched(experiment, out, str(out), seed, self.resume is not None)
+        except KeyboardInterrupt:
+            by_ppo = isinstance(experiment.training, PPOSettings)
+            how = "its best so far is kept" if by_ppo else f"go on with  foveate train --resume {out}"
+            print(f"interrupted: {how}", file=sys.stderr)
+            raise
 
     def _experiment(self) -> "Experiment":
         from foveate.configuration import load_toml
-        from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
-        from foveate.settings import PPO, PRESETS, Experiment, with_learner
+        from foveate.settings import PRESETS, Experiment, adjusted
 
         if self.preset is not None and self.config is not None:
             raise ValueError("--preset and --config: each is a whole experiment: give one of them")
         experiment = load_toml(Experiment, self.config) if self.config is not None else PRESETS[self.preset or "paper"]
-        learners = {
-            "policy-gradient": TrainingSettings(),
-            "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
-            **PPO,
-        }
-        if self.algorithm is not None:
-            learner = learners[self.algorithm]
-            # A file's own settings of the learner that is asked for stay, but for the tuned ones.
-            if self.algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
-                experiment = with_learner(experiment, learner)
-        training = experiment.training
-        wanted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
-        for name in ("epochs", "episodes", "steps"):
-            if (value := getattr(self, name)) is None:
-                continue
-            if name not in wanted:
-                right = " or ".join(f"--{other}" for other in wanted)
-                raise ValueError(f"--{name}: this algorithm does not count them: expected {right}")
-            training = replace(training, **{name: value})
-        return replace(experiment, training=training)
+        return adjusted(experiment, self.algorithm, self.epochs, self.episodes, self.steps)

@@ -20,7 +20,7 @@ class View:
     """
 
     run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
-    """Run folder of `foveate train`; of a preset the hand-made methods are shown."""
+    """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
     scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
     """Where scenes come from (default: table1 in the plane, own in space)."""
     recording: Annotated[Path | None, tyro.conf.arg(metavar="RECORDING.csv")] = None
@@ -48,7 +48,7 @@ class View:
 
     def run_command(self) -> int:
         """Serve, or write the page."""
-        from foveate.cli.common import check_output, check_seed, experiment_of
+        from foveate.cli.common import check_output, check_seed
 
         if self.scenes is not None and self.recording is not None:
             raise ValueError("--scenes and --recording: expected one of them")
@@ -59,6 +59,7 @@ class View:
         check_output(self.record, *[name for name in (self.scenes, self.recording) if name])
         check_seed(self.seed)
         check_seed(self.scene_seed, "--scene-seed")
+        from foveate.runs import experiment_of
         from foveate.view import record, serve
 
         experiment = experiment_of(self.run)
@@ -72,21 +73,18 @@ class View:
         return 0
 
     def _methods(self) -> tuple[str, ...]:
-        """All there are, the chosen one first; without the policy where there is none."""
+        """All there are, the chosen one first."""
         from foveate.cli.common import METHODS, check_methods
 
-        known = METHODS if Path(self.run).is_dir() else METHODS[1:]
         if self.method is None:
-            return known
-        if self.method not in known:
-            check_methods((self.method,) if self.method != "all" else ("one of them",))
-            raise ValueError(f"--method policy: {self.run} is a preset without a trained policy: name another method")
-        return tuple(dict.fromkeys((self.method, *known)))
+            return METHODS
+        check_methods((self.method,) if self.method != "all" else ("one of them",))
+        return tuple(dict.fromkeys((self.method, *METHODS)))
 
     def _simulated(self, experiment: "Experiment") -> "Programme":
-        from foveate.cli.common import policy_of, scenes_of
         from foveate.evaluation import prepare
         from foveate.film import Film, films
+        from foveate.runs import policy_of, scenes_of
         from foveate.view import Programme
 
         name, known = scenes_of(self.scenes, self.scene_seed, experiment)
@@ -108,10 +106,10 @@ class View:
         import jax.numpy as jnp
         import numpy as np
 
-        from foveate.cli.common import policy_of
         from foveate.film import Film, film
         from foveate.recorded import load_recording, window
         from foveate.replay import default_agent_start, prepare_replay, replay, warnings_for
+        from foveate.runs import policy_of
         from foveate.view import Programme
 
         assert self.recording is not None, "called with a recording only"
