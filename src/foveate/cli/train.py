@@ -22,10 +22,11 @@ class Train:
     same machine.
     """
 
-    preset: Literal["paper", "best", "true-view", "quadrotor"] | None = None
+    preset: Literal["paper", "best", "true-view", "search", "quadrotor"] | None = None
     """paper (default): the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs
     where to go next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the
-    same for what is really seen alone. quadrotor: a flying camera over constant-velocity targets in space, some
+    same for what is really seen alone. search: the same where first beliefs err by as much as they claim, with a filter
+    that also learns from looking in vain. quadrotor: a flying camera over constant-velocity targets in space, some
     minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
