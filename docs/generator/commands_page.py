@@ -11,8 +11,9 @@ from foveate.cli.main import COMMANDS, main
 
 INTRODUCTION = """# Commands
 
-`foveate COMMAND --help` says the same in a terminal. Exit status: 0 done, 1 ran but a check failed, 2 wrong input (one line on
-stderr), 130 interrupted. Wherever a command takes `RUN|PRESET`, the name of a preset stands for the trained policy that the package brings.
+`foveate COMMAND --help` says the same in a terminal. Exit status: 0 done, 1 ran but a check failed, 2 wrong input (one
+line on stderr), 130 interrupted. Where a command takes `RUN|PRESET`, the name of a preset stands for the trained policy
+that the package brings.
 """
 PANEL = re.compile(r"^ \S.*\n -+\n((?:  .*\n)+)", re.MULTILINE)
 DEFAULT = re.compile(r" \((?:default: ([^()]*)|required)\)$")

@@ -14,17 +14,17 @@ from foveate.settings import PRESETS, Experiment
 
 INTRODUCTION = """# Configuration
 
-Every key of `config.toml`, which is what `foveate train --config` reads, what `foveate fit` writes, and what a run folder keeps. All
-keys have defaults unless the table says *required*; unknown and mistyped ones are refused in one line that names the key, its value and
-what would be right. In Python the same records are `foveate.Experiment`, `foveate.Scenario` and what they hold, with the same names.
+Every key of a run's `config.toml`, which `foveate train --config` reads and `foveate fit` writes. All keys have
+defaults but those marked *required*; unknown and mistyped ones are refused in one line that names the key, its value
+and what would be right. In Python the same records are [`foveate.Experiment`][foveate.Experiment],
+[`foveate.Scenario`][foveate.Scenario] and what they hold, with the same names.
 
-A table that comes in several kinds is told apart by the first key of its section (`kind`, `shape` or `algorithm`). Units are those in a
-key's name; a matrix is a list of rows.
-
-The presets are such files, too; the quadrotor's, for one:
+Where a table comes in several kinds, its first key says which (`kind`, `shape` or `algorithm`). A matrix is a list of
+rows. Presets are such configurations, too; the quadrotor's, for one, written out:
 
 ```toml
-{preset}```
+{preset}
+```
 """
 NUMBERS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 UNIT = re.compile(r"(?:_(per))?_(m|s|rad|deg)(\d?)((?:_s\d?)*)$")
@@ -32,7 +32,7 @@ UNIT = re.compile(r"(?:_(per))?_(m|s|rad|deg)(\d?)((?:_s\d?)*)$")
 
 def page() -> str:
     """The whole page, in Markdown."""
-    preset = dumps_toml(PRESETS["quadrotor"])
+    preset = dumps_toml(PRESETS["quadrotor"]).strip()
     return "\n\n".join([INTRODUCTION.format(preset=preset), *_sections(Experiment, "")]) + "\n"
 
 

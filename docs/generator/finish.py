@@ -17,7 +17,7 @@ LOADED_LINKS = {"stylesheet", "icon", "preload", "preconnect", "dns-prefetch", "
 def finish(site: Path) -> int:
     """Draw the formulas of a built site, and look it through; the number of pages.
 
-    Raises ValueError with a line for each link that leads nowhere and each resource that a page would load from elsewhere.
+    Raises ValueError with a line for each link that leads nowhere, and each resource that would come from elsewhere.
     """
     pages = sorted(site.rglob("*.html"))
     for page in pages:
@@ -78,7 +78,8 @@ def faults(page: Path, read: dict[Path, Links], site: Path) -> list[str]:
             continue
         if parts.scheme:
             continue
-        file = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+        start = site if parts.path.startswith("/") else page.parent
+        file = (start / unquote(parts.path).lstrip("/")).resolve() if parts.path else page
         anchors = read[file].anchors if file in read else set()
         if not file.exists():
             found.append(f"{name}: nothing at {target}")
