@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from foveate.cli.bench import Bench
 from foveate.cli.common import keep_compiled
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.export import Export
@@ -43,6 +44,7 @@ COMMANDS = {
     "render": Render,
     "view": View,
     "export": Export,
+    "bench": Bench,
 }
 
 
@@ -50,10 +52,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
     kinds = [_command(kind, name) for name, kind in COMMANDS.items()]
     choice: Any = functools.reduce(operator.or_, kinds)
-    command = tyro.cli(
-        choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
-    )
     try:
+        command = tyro.cli(
+            choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
+        )
         keep_compiled()
         return command.run_command()
     except ValueError as error:
