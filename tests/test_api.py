@@ -12,19 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 import foveate
 from foveate.cli.main import main
-from foveate.episodes import own_suite
 from foveate.evaluation import prepare, simulate
+from foveate.learning import learner
+from foveate.learning.judging import Check, Outcome
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import handmade
 from foveate.policies.pointer import PointerSettings
 from foveate.progress import Bar
 from foveate.rollout import PROTOCOLS
 from foveate.scenario import SceneSettings
+from foveate.scenes import write_scenes
 from foveate.settings import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_scenario
 from foveate.target_settings import DriftTarget
 from foveate.view_settings import SectorView
@@ -35,10 +35,25 @@ POINTER = PointerSettings(
     kind="pointer", target_widths=(8,), heads=2, context_widths=(8,), mode_widths=(8,), length_m=2.0
 )
 ATTENTION = AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,))
-TRAINING = TrainingSettings(epochs=4, episodes=4, held_out=4, check_every=2)
 PLANE = foveate.Experiment(scenario=foveate.Scenario(scenes=SCENES), policy=POINTER)
 SPACE = foveate.Experiment(
     scenario=replace(QUADROTOR, scenes=replace(QUADROTOR.scenes, targets_max=4, steps=4)), policy=ATTENTION
+)
+
+SCENE = foveate.Scene(
+    id="two", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-5.0, 2.0)), drift=((0.0, 0.0), (0.1, 0.0)), horizon=4
+)
+CHANCE = {"seed": 3, "episodes": 2}
+CHECK = Check(
+    epoch=1,
+    objective=0.0,
+    gradient_norm=1.0,
+    held_out=0.5,
+    at_limit=0.0,
+    best=True,
+    epochs_per_s=1.0,
+    elapsed_s=1.0,
+    env_steps=20,
 )
 
 
@@ -68,42 +83,40 @@ def test_type_checkers_and_programs_see_the_same_names() -> None:
         assert getattr(foveate, str(name)) is getattr(sys.modules[str(home)], str(name))
 
 
-@pytest.mark.parametrize("experiment", [PLANE, SPACE], ids=["plane", "space"])
-def test_decides_as_the_simulation(experiment: foveate.Experiment) -> None:
-    """Every step of two episodes, from the beliefs that were there before it; pushed by known inputs in the plane."""
-    policy = untrained(experiment)
-    problem, settings = policy.problem, policy.scenario.scenes
-    scenes = own_suite(settings, problem)[-2:]
-    suite = prepare(problem, settings, scenes)
-    trace, episodes = simulate(suite, policy.network, PROTOCOLS["true"], chunk=2), suite.episodes
+def test_decides_as_the_simulation() -> None:
+    """Every step of two episodes, from the beliefs that were there before it, pushed by known inputs."""
+    policy = untrained(PLANE)
+    problem = policy.problem
+    suite = prepare(problem, policy.scenario.scenes, [SCENE], CHANCE["seed"], CHANCE["episodes"])
+    trace, inputs = simulate(suite, policy.network, PROTOCOLS["true"]), suite.episodes.inputs
     commands = []
     for i in range(2):
         for k in range(4):
-            now = foveate.Belief(
-                trace.mean[i, k], information=trace.information[i, k], present=np.array(episodes.present[i])
-            )
-            command = policy(policy.predict(now, episodes.inputs[i, k], k), trace.pose[i, k], 4 - k)
+            now = foveate.Belief(trace.mean[i, k], information=trace.information[i, k])
+            command = policy(policy.predict(now, inputs[i, k], k), trace.pose[i, k], 4 - k)
             expected = problem.agent.control(jnp.asarray(trace.action[i, k]))
             np.testing.assert_allclose(command, expected, rtol=0, atol=1e-9)
             commands.append(command)
-    assert len(policy.axes) == commands[0].size == {2: 2, 3: 4}[policy.scenario.dimension]
+    assert policy.axes == ("vx", "wz")
     assert (np.ptp(commands, axis=0) > 1e-3).all(), "decisions must differ, or nothing was compared"
 
 
-def test_decides_as_its_onnx_file_on_what_a_tracker_knows(tmp_path: Path) -> None:
+@pytest.mark.parametrize("experiment", [PLANE, SPACE], ids=["plane", "space"])
+def test_decides_as_its_onnx_file_on_what_a_tracker_knows(experiment: foveate.Experiment, tmp_path: Path) -> None:
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
-    policy = untrained(PLANE)
+    policy, d = untrained(experiment), experiment.scenario.dimension
     policy.export(tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
-    tracker, pose = foveate.Tracker(policy.scenario), np.array([0.5, -1.0, 0.3])
+    tracker, pose = foveate.Tracker(policy.scenario), np.array([0.5, -1.0, 0.3]) if d == 2 else np.eye(4)
     for count in range(4):
         tracker.predict()
         inputs = tracker.inputs(pose, policy.steps_left)
         (control,) = session.run(["control"], {each.name: inputs[each.name] for each in session.get_inputs()})
         np.testing.assert_allclose(policy(tracker.belief(), pose), control[0], rtol=0, atol=1e-5)
-        assert len(tracker.belief()) == count
-        tracker.add(f"walker {count}", [1.0 + count, -2.0])
+        assert tracker.belief().targets == count
+        tracker.add(f"walker {count}", [1.0 + count, -2.0, 3.0][:d])
     assert policy.steps_left == json.loads(session.get_modelmeta().custom_metadata_map["steps_left"]) == 2
+    assert json.loads(session.get_modelmeta().custom_metadata_map["output"])["axes"] == list(policy.axes)
 
 
 def test_a_pose_in_space_is_a_matrix_or_numbers() -> None:
@@ -114,7 +127,7 @@ def test_a_pose_in_space_is_a_matrix_or_numbers() -> None:
     belief = foveate.Belief(np.ones((1, 6)), covariance=np.eye(6))
     np.testing.assert_allclose(policy(belief, T), policy(belief, [1, 2, 3, w, x, y, z]), rtol=0, atol=1e-9)
     T[0, 0] = 2.0
-    with pytest.raises(ValueError, match="expected a rotation"):
+    with pytest.raises(ValueError, match="expected a homogeneous matrix"):
         policy(belief, T)
 
 
@@ -139,7 +152,7 @@ def test_predicts_as_filterpy_and_padding_does_not_matter() -> None:
     pose = [0.0, 1.0, 2.0]
     np.testing.assert_allclose(policy(padded, pose), policy(plain, pose), rtol=0, atol=1e-12)
     many = plain.padded(100)
-    assert (len(many), len(many.mean), many.padded(7)) == (2, 100, many)
+    assert (many.targets, len(many.mean), many.padded(7)) == (2, 100, many)
     np.testing.assert_allclose(policy(many, pose), policy(plain, pose), rtol=0, atol=1e-12)
     nobody = foveate.Belief(np.zeros((0, 2)), covariance=np.eye(2))
     assert np.isfinite(policy(nobody, pose)).all()
@@ -179,71 +192,84 @@ def test_a_belief_or_pose_of_another_world_is_refused() -> None:
         policy(foveate.Belief([[1, 2]], covariance=ONE), [0, 0])
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, foveate.TrainedPolicy]:
-    """A run with next to no training, stopped half way and gone on with."""
-    out = tmp_path_factory.mktemp("runs") / "run"
-    experiment = replace(PLANE, policy=ATTENTION, training=TRAINING)
-    return out, foveate.train(experiment, out=out, progress=False)
+@pytest.fixture
+def trainer(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
+    """A learner that only says what it was asked for and leaves a policy; tests/cli has the real one in its place."""
+    asked = []
+
+    def train(experiment, out, seed, resume, report) -> Outcome:
+        asked.append((experiment, out, seed, resume))
+        if not resume:
+            untrained(experiment).save(out)
+        report(CHECK, 1)
+        return Outcome(epochs=1, best_epoch=1, best_score=0.5, returns=0, stopped="it was enough" * (seed == 9))
+
+    monkeypatch.setattr(learner, "train", train)
+    return asked
 
 
-def test_trains_into_a_run_or_into_memory(trained, tmp_path: Path) -> None:
-    out, policy = trained
-    loaded = foveate.load(out)
-    assert (loaded.name, loaded.experiment, loaded.facts) == (str(out), policy.experiment, policy.facts)
-    assert "attention network of 234 weights" in repr(policy)
-    assert "1 to 2 targets (drift)" in repr(policy)
-    policy.save(tmp_path / "kept")
-    kept = foveate.load(tmp_path / "kept")
-    assert kept.facts == policy.facts
-    for one, other in zip(jax.tree.leaves(kept.network), jax.tree.leaves(policy.network), strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert sum(path.stat().st_size for path in (tmp_path / "kept").rglob("*") if path.is_file()) < 20_000
-    again = foveate.train(policy.experiment, out=out, resume=True, progress=False)
-    assert again.facts == policy.facts, "there was nothing left to do"
-    with pytest.raises(ValueError, match="exists already"):
-        policy.save(tmp_path / "kept")
-    with pytest.raises(ValueError, match="exists already"):
-        foveate.train(policy.experiment, out=out)
+def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    policy = foveate.train(PLANE.scenario, like="paper", epochs=7, seed=3, out=out)
+    expected = for_scenario(PLANE.scenario, "paper")
+    expected = replace(expected, training=replace(expected.training, epochs=7))
+    assert trainer[-1] == (expected, out, 3, False)
+    assert foveate.load(out).experiment == policy.experiment == expected
+    assert foveate.train(expected, out=out, seed=3, resume=True, progress=False).name == str(out)
+    assert trainer[-1] == (expected, out, 3, True)
+    (tmp_path / "own.toml").write_text("[scenario]\ntau_s = 0.25\n")
+    fitted = foveate.train(tmp_path / "own.toml", algorithm="actor-critic")
+    assert (fitted.scenario.tau_s, fitted.experiment.policy.kind) == (0.25, "pointer")
+    assert not trainer[-1][1].exists(), "without a place for it nothing is left"
+    with pytest.warns(UserWarning, match="a policy: the training stopped early: it was enough"):
+        foveate.train("paper", seed=9)
+    assert trainer[-1][0] == PRESETS["paper"]
     with pytest.raises(ValueError, match="resume: expected out"):
-        foveate.train(policy.experiment, resume=True)
+        foveate.train("paper", resume=True)
     with pytest.raises(ValueError, match="nobody: expected a preset, that is paper, "):
         foveate.train("nobody")
     with pytest.raises(ValueError, match="seed -1: expected"):
-        foveate.train(policy.experiment, seed=-1)
+        foveate.train("paper", seed=-1)
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    policy = replace(untrained(PLANE), facts={"seed": 3})
+    policy.save(tmp_path / "kept")
+    kept = foveate.load(tmp_path / "kept")
+    assert (kept.name, kept.experiment, kept.facts) == (str(tmp_path / "kept"), PLANE, {"seed": 3})
+    for one, other in zip(jax.tree.leaves(kept.network), jax.tree.leaves(policy.network), strict=True):
+        np.testing.assert_array_equal(one, other)
+    text = repr(policy)
+    assert "pointer network of 483 weights; trained for 1 to 2 targets (drift), differential_drive" in text
+    assert "triangle view of 2 m, a command [vx, wz] every 1 s" in text
+    with pytest.raises(ValueError, match="exists already"):
+        policy.save(tmp_path / "kept")
     with pytest.raises(ValueError, match="no such run folder, and no preset"):
         foveate.load("nobody")
 
 
-SCENE = foveate.Scene(
-    id="two", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-5.0, 2.0)), drift=((0.0, 0.0), (0.1, 0.0)), horizon=4
-)
-
-
-def test_evaluates_as_the_command(trained, tmp_path: Path) -> None:
+def test_evaluates_as_the_command(tmp_path: Path) -> None:
     """Whoever is given: a run, a policy, and one of the user's own with its scenario."""
-    out, policy = trained
-    scenes = tmp_path / "scenes.json"
-    row = {"id": "two", "agent": [0, 0, 0.5], "targets": [[3, 1], [-5, 2]], "drift": [[0, 0], [0.1, 0]], "horizon": 4}
-    scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
-    common = ["--scenes", str(scenes), "--protocol", "true", "--episodes", "2", "--seed", "3"]
-    options = {"protocol": "true", "episodes": 2, "seed": 3, "progress": False}
-    assert main(["evaluate", str(out), *common, "--method", "policy", "nearest", "--json", str(tmp_path / "a")]) == 0
-    foveate.evaluate(out, scenes, method=["policy", "nearest"], **options).to_json(tmp_path / "b")
-    mine = foveate.evaluate(policy, [SCENE], **options)
+    out, policy, scenes = tmp_path / "run", untrained(PLANE), tmp_path / "scenes.json"
+    policy.save(out)
+    write_scenes(scenes, [SCENE])
+    command = ["evaluate", str(out), "--scenes", str(scenes), "--protocol", "true", "--episodes", "2", "--seed", "3"]
+    assert main([*command, "--json", str(tmp_path / "a")]) == 0
+    foveate.evaluate(out, scenes, protocol="true", **CHANCE).to_json(tmp_path / "b")
+    mine = foveate.evaluate(policy, [SCENE], protocol="true", progress=False, **CHANCE)
     mine.to_json(tmp_path / "c")
-    other = handmade("nearest", policy.problem, 2.0)
-    theirs = foveate.evaluate(other, [SCENE], scenario=policy.scenario, **options)
-    theirs.to_json(tmp_path / "d")
+    foveate.evaluate(policy.network, [SCENE], scenario=PLANE.scenario, protocol="true", **CHANCE).to_json(
+        tmp_path / "d"
+    )
     a, b, c, d = (json.loads((tmp_path / name).read_text()) for name in "abcd")
     for document in (a, b, c, d):
         for each in document["rows"]:
             each["step_time_s"] = None
     assert a == b
-    assert a["rows"] == c["rows"] + [{**each, "method": "nearest"} for each in d["rows"]]
-    assert (a["experiment"], c["scenes"], d["run"]) == (c["experiment"], "scenes", "Nearest")
+    assert a["rows"] == c["rows"] == d["rows"]
+    assert (a["experiment"], c["scenes"], d["run"]) == (c["experiment"], "scenes", "PointerPolicy")
     assert len(mine.rows) == 2
-    assert mine.summary[0].episodes == 2
+    assert mine.scenes == (SCENE,)
     assert f"{mine.summary[0].mean:.2f}" in repr(mine)
     assert f"<td>{mine.summary[0].mean:.2f}</td>" in mine._repr_html_()
 
@@ -253,7 +279,6 @@ def test_evaluates_as_the_command(trained, tmp_path: Path) -> None:
     [
         ({"method": "psychic"}, "method 'psychic': expected one of"),
         ({"episodes": 0}, "episodes 0: expected >= 1"),
-        ({"protocol": "soft"}, "protocol 'soft': expected surrogate, true or both"),
         ({"seed": -1}, "seed -1"),
         ({"scenes": [SCENE, SCENE]}, "scenes: id 'two' is given twice"),
         ({"scenes": [replace(SCENE, targets=((1.0, 2.0, 3.0),))]}, r"scenes\[0\] .* expected 2 numbers"),
@@ -261,11 +286,12 @@ def test_evaluates_as_the_command(trained, tmp_path: Path) -> None:
         ({"scenes": "nowhere.json"}, "nowhere.json: there is no such file"),
     ],
 )
-def test_an_evaluation_that_cannot_be_is_refused(trained, options: dict, complaint: str) -> None:
+def test_an_evaluation_that_cannot_be_is_refused(options: dict, complaint: str) -> None:
+    policy = untrained(PLANE)
     with pytest.raises(ValueError, match=complaint):
-        foveate.evaluate(trained[1], **{"scenes": [SCENE], **options})
+        foveate.evaluate(policy, **{"scenes": [SCENE], **options})
     with pytest.raises(ValueError, match="scenario: expected the world"):
-        foveate.evaluate(trained[1].network, [SCENE])
+        foveate.evaluate(policy.network, [SCENE])
 
 
 def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view() -> None:
@@ -284,7 +310,7 @@ def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view() -> N
 
 
 def test_a_notebook_is_told_at_each_tenth(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(Console, "is_jupyter", True)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     for quiet in (False, True):
         with Bar("training", 40, "epochs", quiet) as bar:
             for done in range(1, 41):
