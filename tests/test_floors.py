@@ -47,6 +47,7 @@ FLOORS = [
             "learning.sensitivity",
             "learning.policy_gradient",
             "learning.actor_critic",
+            "learning.events",
             "learning.judging",
             "learning.training",
         ),

@@ -186,9 +186,8 @@ def test_a_scenario_is_one_a_preset_a_file_or_a_run(tmp_path: Path):
     assert scenario_of("paper") == PRESETS["paper"].scenario
     assert scenario_of(tmp_path) == scenario_of(str(tmp_path / "config.toml")) == QUADROTOR
     assert scenario_of(QUADROTOR) is QUADROTOR
-    with pytest.raises(
-        ValueError, match=re.escape("scenario = 'nobody': expected a preset (paper, best, true-view, quadrotor)")
-    ):
+    known = "paper, best, true-view, search, quadrotor"
+    with pytest.raises(ValueError, match=re.escape(f"scenario = 'nobody': expected a preset ({known})")):
         scenario_of("nobody")
 
 

@@ -102,6 +102,27 @@ def test_each_step_has_its_own_matrices():
         np.testing.assert_allclose(tracker.mean[0], mean, rtol=1e-10, atol=1e-12)
 
 
+def test_looking_in_vain_is_what_the_simulation_makes_of_it():
+    """A view over half of a belief that is not detected: as sampled, what is outside; a detected one is updated."""
+    problem = Scenario(sensor=SensorSettings(absence="used")).problem()
+    pose, rng = np.array([1.0, -2.0, 0.7]), np.random.default_rng(5)
+    tracker = Tracker(problem)
+    tracker.add("sought", np.add(pose[:2], [1.4, 1.0]))
+    tracker.add("found", np.add(pose[:2], [1.0, 0.5]))
+    tracker.predict()
+    mean, covariance = tracker.mean.copy(), tracker.covariance.copy()
+    tracker.update(pose, {"found": mean[1]})
+    samples = rng.multivariate_normal(mean[0], covariance[0], 200_000)
+    ahead = (samples - pose[:2]) @ [np.cos(0.7), np.sin(0.7)]
+    aside = (samples - pose[:2]) @ [-np.sin(0.7), np.cos(0.7)]
+    outside = samples[(ahead > 2) | (np.abs(aside) > np.tan(np.pi / 3) * ahead)]
+    assert 0.4 < len(outside) / len(samples) < 0.9
+    np.testing.assert_allclose(tracker.mean[0], outside.mean(axis=0), atol=0.05)
+    np.testing.assert_allclose(tracker.covariance[0], np.cov(outside.T), atol=0.12)
+    np.testing.assert_allclose(tracker.mean[1], mean[1], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(tracker.covariance[1]), np.linalg.inv(covariance[1]) + 25 * np.eye(2))
+
+
 def test_the_gate_refuses_outliers_and_few_honest_detections():
     problem, rng, count = Scenario().problem(), np.random.default_rng(3), 20_000
     tracker = Tracker(problem, gate=0.99)

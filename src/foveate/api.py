@@ -20,7 +20,7 @@ from foveate.scenes import Scene, checked
 from foveate.settings import PRESETS, Experiment, adjusted, for_scenario
 from foveate.trained_policy import TrainedPolicy
 
-Preset = Literal["paper", "best", "true-view", "quadrotor"]
+Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
 Algorithm = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 METHODS = ("policy", *handmade.METHODS)
 

@@ -1,11 +1,25 @@
 """Files written whole or not at all, and read with errors that say in one line what is wrong."""
 
+import errno
 import json
 import math
 import os
+import re
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+LOCK = ".lock"
+"""In a folder that one process alone may write to."""
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
+_TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.tmp")
 
 
 def cache_folder(name: str) -> Path:
@@ -21,7 +35,7 @@ def file_error(path: str | Path, problem: str) -> ValueError:
 def write_atomic(path: str | Path, data: bytes) -> None:
     """Write `data` so that a crash leaves the old file or the new one, never a part.
 
-    Raises ValueError where `path` is a folder or its folder is missing, OSError where the system refuses.
+    Raises ValueError where `path` is a folder or its folder is missing, OSError naming `path` where the system refuses.
     """
     target = Path(os.path.realpath(path))  # a link keeps pointing where it did
     if os.path.isdir(path):
@@ -38,8 +52,10 @@ def write_atomic(path: str | Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, target)
-    except BaseException:  # also an interrupt from the keyboard leaves nothing behind
+    except BaseException as error:  # also an interrupt from the keyboard leaves nothing behind
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # a full disk names no file, or the temporary one
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
     _sync_folder(target.parent)
 
@@ -53,6 +69,41 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append a line to a text file in one write: a crash leaves all of it, or a part without its end."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f"{line}\n")
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Keep every other process that asks for it out of a folder, until the end of this one at the latest.
+
+    What writes that were killed have left there is removed. Where the file system knows no locks there is none. Raises
+    ValueError where another process has the folder.
+    """
+    with (folder / LOCK).open("ab") as file:
+        if fcntl is not None:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise file_error(
+                    folder, "another process is writing into it: wait, or choose another folder"
+                ) from error
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+        for path in [*folder.iterdir(), *folder.glob("*/.*")]:
+            if is_temporary(path):
+                path.unlink(missing_ok=True)
+        yield
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether it is what a killed `write_atomic` left."""
+    return _TEMPORARY.fullmatch(path.name) is not None
 
 
 def write_json(path: str | Path, obj: Any) -> None:

@@ -153,7 +153,8 @@ class ActorCriticSettings(JudgedSettings):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         right = "expected at least one of surrogate, true, each once"
         require(len(set(self.protocols)) == len(self.protocols) > 0, "protocols", self.protocols, right)
-        right = f"expected a multiple of the number of protocols, {len(self.protocols)}, and >= minibatches"
+        least = f">= minibatches = {self.minibatches}"
+        right = f"expected a multiple of the number of protocols, {len(self.protocols)}, and {least}"
         shared = self.episodes % len(self.protocols) == 0 and self.episodes >= self.minibatches
         require(shared, "episodes", self.episodes, right)
         positive(self, "learning_rate", "critic_learning_rate", "gradient_bound", "clip")

@@ -1,10 +1,15 @@
 """How far long work is: a bar on a terminal, now and then a line in a notebook, nothing elsewhere."""
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import threading
+    from collections.abc import Iterator
+    from types import FrameType
+
     from foveate.learning.judging import Check, Outcome
     from foveate.settings import Experiment
 
@@ -64,7 +69,7 @@ def train_watched(
     settings = experiment.training
     by_ppo = isinstance(settings, PPOSettings)
     total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
-    with Bar(f"training {name}", total, unit, quiet) as bar:
+    with Bar(f"training {name}", total, unit, quiet) as bar, _patience(bar, not by_ppo) as asked:
 
         def report(check: "Check", _: int) -> None:
             done, rate = check.epoch, check.epochs_per_s
@@ -73,5 +78,33 @@ def train_watched(
             bar.update(done, f"held-out {check.held_out:.2f}  {rate:.0f}/s")
             if check.event:
                 bar.say(f"epoch {check.epoch}: {check.event}")
+            if asked.is_set():  # here all of the check is on the disk
+                raise KeyboardInterrupt
 
         return train(experiment, out, seed, resume, report)
+
+
+@contextmanager
+def _patience(bar: "Bar", finishes: bool) -> "Iterator[threading.Event]":
+    """Where a training `finishes` its check, the first ctrl-C sets the event and the second one interrupts."""
+    import signal
+    import threading
+
+    asked = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def ask(number: int, frame: "FrameType | None") -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        bar.say("stopping when the check that is under way is saved; ctrl-C once more stops at once")
+
+    # A caller's own way with ctrl-C is left alone, and only the main thread may choose one.
+    mine = finishes and before is signal.default_int_handler and threading.current_thread() is threading.main_thread()
+    if mine:
+        signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        if mine:
+            signal.signal(signal.SIGINT, before)

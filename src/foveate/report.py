@@ -120,8 +120,8 @@ def worlds(factors: Sequence[Factor], found: Sequence[Point]) -> Table:
     return Table(
         title="Worlds that differ from training by one factor",
         note="Mean score [nat per target] ± half of its 95 % interval (of trained methods: over seeds, too), "
-        "and closeness in brackets: - where the omniscient planner itself is passed, and measures nothing. A column is a value of "
-        "the factor, in the order in which they are named.",
+        "and closeness in brackets: - where the omniscient planner itself is passed, and measures nothing. A column is "
+        "a value of the factor, in the order in which they are named.",
         header=("factor", "method", *(f"value {i + 1}" for i in range(most))),
         rows=tuple((*row, *[""] * (most + 2 - len(row))) for row in rows),
     )

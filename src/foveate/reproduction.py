@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from foveate.checkpoint import BEST, LAST, load_run
 from foveate.comparison import Part
 from foveate.evaluation import Row
-from foveate.files import read_json, write_atomic, write_json
+from foveate.files import read_json, sole_writer, write_atomic, write_json
 from foveate.learning.judging import Check, Outcome
 from foveate.learning.learner import train
 from foveate.methods import Bench
@@ -61,11 +61,17 @@ def reproduce(
 ) -> Results:
     """Do what is not done yet, and give all results.
 
-    `report` is called with the number of units that are done and what is being done now.
+    `report` is called with the number of units that are done and what is being done now. Raises ValueError where
+    another process is at work in `out`.
     """
+    (out / UNITS).mkdir(parents=True, exist_ok=True)
+    with sole_writer(out):
+        return _reproduce(study, out, report, say)
+
+
+def _reproduce(study: Study, out: Path, report: Callable[[int, str], None], say: Say) -> Results:
     benches = {error: bench_of(study, error) for error in study.initial_errors}
     worlds = {factor.name: worlds_of(study, factor) for factor in study.factors}
-    (out / UNITS).mkdir(parents=True, exist_ok=True)
     found = Results(parts=[], trained=[], points=[])
     for done, unit in enumerate(units(study)):
         path = out / UNITS / unit.file

@@ -6,7 +6,7 @@ from foveate.agent_settings import Quadrotor
 from foveate.learner_settings import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.scenario import Scenario, SceneSettings
+from foveate.scenario import Scenario, SceneSettings, SensorSettings
 from foveate.target_settings import VelocityTarget
 from foveate.view_settings import FrustumView
 
@@ -83,6 +83,15 @@ PRESETS = {
     "true-view": Experiment(
         policy=PointerSettings(kind="pointer"),
         training=ActorCriticSettings(algorithm="actor-critic"),
+    ),
+    # Where first beliefs err by as much as they claim, going to where a target is believed to be does not find it.
+    "search": Experiment(
+        scenario=Scenario(
+            sensor=SensorSettings(absence="used"),
+            scenes=SceneSettings(initial_error="consistent"),
+        ),
+        policy=PointerSettings(kind="pointer"),
+        training=ActorCriticSettings(algorithm="actor-critic", epochs=400),
     ),
     "quadrotor": Experiment(
         scenario=QUADROTOR,

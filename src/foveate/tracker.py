@@ -8,12 +8,17 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from foveate.beliefs import Belief, observation
+from foveate.geometry.fov import FieldOfView
+from foveate.models import belief
+from foveate.models.absence import given_unseen
 from foveate.poses import positions, rotation
 from foveate.problem import Observation, Problem
 from foveate.scenario import Scenario
@@ -38,8 +43,8 @@ class Tracker:
     A detection is refused where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
     chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 refuses one honest detection in
     ten thousand. One that is not finite is refused too. `refused` counts them by id. A target that has really jumped is
-    refused until it is dropped, and then begins anew. `gate` None takes whatever comes. Beliefs learn from detections
-    only, whatever the scenario's `sensor.absence` says.
+    refused until it is dropped, and then begins anew. `gate` None takes whatever comes. Where the scenario says
+    `sensor.absence = "used"`, a target without a detection is believed to be outside of the view from there on.
     """
 
     def __init__(
@@ -120,6 +125,8 @@ class Tracker:
         taken_in = {*updated, *appeared}
         refused = tuple(target for target in z_of if target not in taken_in)
         self.refused.update(refused)
+        if self._sensor.uses_absence:
+            self._look_in_vain(pose, [place[target] for target in place if target not in z_of])
         return Seen(updated=updated, appeared=appeared, refused=refused)
 
     def belief(self) -> Belief:
@@ -147,6 +154,15 @@ class Tracker:
     def __repr__(self) -> str:
         named = "".join(f", {target!r}" for target in self.ids[:5]) + ", .." * (len(self.ids) > 5)
         return f"Tracker(step {self.step}, {len(self.ids)} targets{named})"
+
+    def _look_in_vain(self, pose: np.ndarray, places: list[int]) -> None:
+        """The targets at these places were not in view from this pose."""
+        here = rotation(pose), positions(pose)
+        for i in places:
+            left = _unseen(
+                self._sensor.view, *map(_traced, (self._Z, *here, self.mean[i], np.linalg.inv(self.covariance[i])))
+            )
+            self.mean[i], self.covariance[i] = left.mean, np.linalg.inv(left.information)
 
     def _begin(self, target: Hashable, mean: np.ndarray, covariance: np.ndarray) -> None:
         self.ids = (*self.ids, target)
@@ -190,6 +206,16 @@ class Tracker:
         here = rows[taken]
         self.mean[here], self.covariance[here], self.unseen_s[here] = mean[taken], covariance[taken], 0.0
         return taken
+
+
+@eqx.filter_jit
+def _unseen(view: FieldOfView, Z: Array, R: Array, t: Array, mean: Array, information: Array) -> belief.Belief:
+    """One belief, one program for any number of targets."""
+    return given_unseen(belief.Belief(mean, information), Z, lambda points: view.contains((points - t) @ R))
+
+
+def _traced(x: np.ndarray) -> Array:
+    return jnp.asarray(x, float)
 
 
 def _array(x: Any) -> np.ndarray:

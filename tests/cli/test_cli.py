@@ -53,7 +53,7 @@ def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenario = folder / "scenario.toml"
     assert main(["fit", str(recording), "--out", str(scenario), "--end", "20"]) == 0
     out = folder / "run"
-    assert main(["train", "--config", str(scenario), "--epochs", "2", "--episodes", "3", "--out", str(out)]) == 0
+    assert main(["train", "--config", str(scenario), "--epochs", "2", "--episodes", "8", "--out", str(out)]) == 0
     return out
 
 
@@ -198,10 +198,10 @@ def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[st
     text = config.read_text()
     assert 'kind = "quadrotor"' in text
     assert 'kind = "constant_velocity"' in text
-    # The deeper network and long episodes are for real trainings.
+    # Wide networks and long episodes are for real trainings.
     text = text.replace("[64, 64, 64]", "[8, 4]").replace("[64, 64]", "[4]").replace("[64]", "[4]")
     config.write_text(text.replace("held_out = 240", "held_out = 2").replace("steps = 20", "steps = 3"))
-    assert main(["train", "--config", str(config), "--epochs", "1", "--episodes", "2", "--out", str(run)]) == 0
+    assert main(["train", "--config", str(config), "--epochs", "1", "--episodes", "8", "--out", str(run)]) == 0
     arguments = ["--method", "policy", "--protocol", "true", "--json", str(tmp_path / "out.json")]
     assert main(["evaluate", str(run), *arguments]) == 0
     check_contract("evaluate", tmp_path / "out.json")

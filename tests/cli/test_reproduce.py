@@ -95,6 +95,9 @@ def test_reproduce_for_the_true_view(
     assert sum(still[0]) < sum(still[1]), "a first error of 0.2 m is less than one of 1.4 m"
     worlds = json.loads((out / "robustness.json").read_text())
     (factor,) = worlds["factors"]
+    assert (worlds["protocol"], worlds["training_seeds"]) == ("true", data["training_seeds"])
+    assert {"foveate", "world", "scene_seed", "noise_seed", "trainings"} <= set(worlds)
+    assert "Worlds that differ" in (out / "table.md").read_text()
     assert {(one["method"], one["value"]) for one in factor["verdicts"]} == {
         (name, value) for name in (study.TRUE_VIEW, "uncertain") for value in (0.1, 0.2)
     }

@@ -50,10 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
     kinds = [_command(kind, name) for name, kind in COMMANDS.items()]
     choice: Any = functools.reduce(operator.or_, kinds)
-    command = tyro.cli(
-        choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
-    )
     try:
+        command = tyro.cli(
+            choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
+        )
         keep_compiled()
         return command.run_command()
     except ValueError as error:

@@ -22,10 +22,11 @@ class Train:
     same machine.
     """
 
-    preset: Literal["paper", "best", "true-view", "quadrotor"] | None = None
+    preset: Literal["paper", "best", "true-view", "search", "quadrotor"] | None = None
     """paper (default): the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs
     where to go next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the
-    same for what is really seen alone. quadrotor: a flying camera over constant-velocity targets in space, some
+    same for what is really seen alone. search: the same where first beliefs err by as much as they claim, with a filter
+    that also learns from looking in vain. quadrotor: a flying camera over constant-velocity targets in space, some
     minutes."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
@@ -81,18 +82,20 @@ class Train:
                 raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
-        """Train, and say how to go on where it is interrupted."""
+        """Train, and say how to go on where it is interrupted or fails."""
         import sys
 
+        from foveate.checkpoint import CONFIG
         from foveate.learner_settings import PPOSettings
         from foveate.progress import train_watched
 
         try:
             return train_watched(experiment, out, str(out), seed, self.resume is not None)
-        except KeyboardInterrupt:
-            by_ppo = isinstance(experiment.training, PPOSettings)
-            how = "its best so far is kept" if by_ppo else f"go on with  foveate train --resume {out}"
-            print(f"interrupted: {how}", file=sys.stderr)
+        except (KeyboardInterrupt, OSError) as error:
+            by_hand = isinstance(error, KeyboardInterrupt)
+            if by_hand or (out / CONFIG).exists():
+                how = _kept(out, isinstance(experiment.training, PPOSettings))
+                print(f"{'interrupted' if by_hand else 'failed'}: {how}", file=sys.stderr)
             raise
 
     def _experiment(self) -> "Experiment":
@@ -103,3 +106,14 @@ class Train:
             raise ValueError("--preset and --config: each is a whole experiment: give one of them")
         experiment = load_toml(Experiment, self.config) if self.config is not None else PRESETS[self.preset or "paper"]
         return adjusted(experiment, self.algorithm, self.epochs, self.episodes, self.steps)
+
+
+def _kept(out: Path, by_ppo: bool) -> str:
+    """What there is of a training that did not come to its end."""
+    from foveate.checkpoint import BEST, CONFIG
+
+    if by_ppo:
+        return "its best so far is kept" if (out / BEST).exists() else "there is no policy of it yet"
+    if not (out / CONFIG).exists():
+        return "nothing was trained yet"
+    return f"its last check is kept: go on with  foveate train --resume {out}"

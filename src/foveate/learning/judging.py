@@ -7,11 +7,11 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-from tensorboardX import SummaryWriter
 
-from foveate.checkpoint import BEST, write_config
+from foveate.checkpoint import BEST, CONFIG, LAST
 from foveate.episodes import training_episode
-from foveate.files import write_atomic
+from foveate.files import LOCK, append_line, is_temporary, write_atomic
+from foveate.learning.events import Events
 from foveate.learning.policy_gradient import episode_score
 from foveate.problem import Episode, Policy, Problem, Trace
 from foveate.rollout import PROTOCOLS, rollout
@@ -80,23 +80,37 @@ def judge(
 
 
 def claim(out: Path, experiment: Experiment) -> None:
-    """Make the run folder `out`. Raises ValueError where something is there already."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        resume = "" if isinstance(experiment.training, PPOSettings) else f", or go on with --resume {out}"
-        raise ValueError(f"{out}: exists already: choose another --out{resume}")
+    """Make the run folder `out`, but for its config.toml: that is written last, where there is something to go on with.
+
+    What a training left that was killed before that is no run. Raises ValueError where something else is there.
+    """
+    require_free(out, experiment)
     (out / BEST).parent.mkdir(parents=True, exist_ok=True)
-    write_config(out, experiment)
     write_atomic(out / METRICS, b"")
 
 
-def write_check(out: Path, check: Check, events: SummaryWriter) -> None:
+def require_free(out: Path, experiment: Experiment) -> None:
+    """Raise ValueError where a run, or something else, is there already."""
+    if out.exists() and not _is_free(out):
+        resume = "" if isinstance(experiment.training, PPOSettings) else f", or go on with --resume {out}"
+        raise ValueError(f"{out}: exists already: choose another --out{resume}")
+
+
+def _is_free(out: Path) -> bool:
+    """A folder without anything, or with a beginning from before the first check."""
+    if not out.is_dir() or (out / CONFIG).exists():
+        return False
+    inside = [path for path in out.rglob("*") if not is_temporary(path)]
+    remains = {out / LOCK, out / METRICS, (out / LAST).parent, out / LAST}
+    return set(inside) <= remains and all(path.stat().st_size == 0 for path in inside if path.name == METRICS)
+
+
+def write_check(out: Path, check: Check, events: Events) -> None:
     """Append a check to the metrics and the TensorBoard events of a run."""
-    with (out / METRICS).open("a") as file:
-        facts = {name: value if _is_json(value) else None for name, value in asdict(check).items()}
-        file.write(json.dumps(facts) + "\n")
-    for name in ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s"):
-        if (value := getattr(check, name)) is not None:
-            events.add_scalar(name, value, check.epoch)
+    facts = {name: value if _is_json(value) else None for name, value in asdict(check).items()}
+    append_line(out / METRICS, json.dumps(facts))
+    names = ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s")
+    events.add({name: value for name in names if (value := getattr(check, name)) is not None}, check.epoch)
 
 
 def _is_json(value: object) -> bool:

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from foveate.files import sole_writer
 from foveate.learning import ppo, training
-from foveate.learning.judging import Check, Outcome
+from foveate.learning.judging import Check, Outcome, require_free
 from foveate.settings import Experiment, PPOSettings
 
 
@@ -17,10 +18,16 @@ def train(
 ) -> Outcome:
     """Train a policy into the run folder `out` by the experiment's own algorithm; `report` is called at every check.
 
-    Raises ValueError where `out` already holds a run (or, resumed, another one), and where PPO is to be resumed.
+    Raises ValueError where `out` already holds a run (or, resumed, another one), or another process trains into it, and
+    where PPO is to be resumed.
     """
-    if not isinstance(experiment.training, PPOSettings):
-        return training.train(experiment, out, seed, resume, report)
-    if resume:
+    by_ppo = isinstance(experiment.training, PPOSettings)
+    if resume and by_ppo:
         raise ValueError(f"{out}: PPO cannot go on where it was: train it anew")
-    return ppo.train(experiment, out, seed, report)
+    if not resume:
+        require_free(out, experiment)
+        out.mkdir(parents=True, exist_ok=True)
+    with sole_writer(out):
+        if by_ppo:
+            return ppo.train(experiment, out, seed, report)
+        return training.train(experiment, out, seed, resume, report)

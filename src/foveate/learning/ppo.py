@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, cast
 import equinox as eqx
 import jax
 import numpy as np
-from tensorboardX import SummaryWriter
 
-from foveate.checkpoint import BEST, save_tree
+from foveate.checkpoint import BEST, save_tree, write_config
 from foveate.environment import Environment
+from foveate.learning.events import Events
 from foveate.learning.judging import Check, Outcome, claim, held_out_episodes, judge, write_check
 from foveate.policies.attention import AttentionSettings
 from foveate.settings import Experiment, PPOSettings
@@ -37,7 +37,7 @@ Report = Callable[[Check, int], None]
 class _Judge:
     """Judges the actor of a PPO now and then, keeps the best, and writes it all down."""
 
-    def __init__(self, experiment: Experiment, out: Path, seed: int, report: Report, events: SummaryWriter) -> None:
+    def __init__(self, experiment: Experiment, out: Path, seed: int, report: Report, events: Events) -> None:
         problem = experiment.scenario.problem()
         keys = jax.random.split(jax.random.key(seed), 4)  # as the policy gradient: the same scenes are held out
         episodes = held_out_episodes(experiment, problem, keys[1])
@@ -78,8 +78,7 @@ class _Judge:
         if not finite:
             self.stopped = f"epoch {self.epoch}: a weight or score was not finite; the best is kept"
         write_check(self.out, check, self.events)
-        for name, value in model.logger.name_to_value.items():
-            self.events.add_scalar(name, value, self.epoch)
+        self.events.add({name: float(value) for name, value in model.logger.name_to_value.items()}, self.epoch)
         self.report(check, training.steps)
 
 
@@ -97,7 +96,8 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
     network_of(experiment)
     _require_extra()
     claim(out, experiment)
-    with SummaryWriter(str(out)) as events, _one_thread():
+    write_config(out, experiment)
+    with Events(out) as events, _one_thread():
         judge = _Judge(experiment, out, seed, report, events)
         model = make_ppo(experiment, training, seed)
         try:

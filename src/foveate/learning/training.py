@@ -4,20 +4,19 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from tensorboardX import SummaryWriter
 
 from foveate.arrays import load_arrays
-from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree
+from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree, write_config
 from foveate.configuration import load_toml
 from foveate.files import write_atomic
 from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
 from foveate.learning import actor_critic, policy_gradient
+from foveate.learning.events import Events
 from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
 from foveate.learning.policy_gradient import Learner, epochs
 from foveate.policies.pointer import PointerPolicy
@@ -74,10 +73,11 @@ def train(
         progress, elapsed = _resumed(out, experiment, seed, progress)
     else:
         save_tree(out / LAST, progress, experiment, "training", {"seed": seed, "epoch": 0, "elapsed_s": 0.0})
+        write_config(out, experiment)
     advance = _advance(experiment, problem)
     assess = eqx.filter_jit(lambda policy, episodes, key: judge(experiment, problem, policy, episodes, key))
     began, stopped = time.perf_counter() - elapsed, ""
-    with SummaryWriter(str(out), purge_step=int(progress.learner.epoch) + 1) as events:
+    with Events(out, int(progress.learner.epoch) + 1 if resume else 0) as events:
         while not stopped and (done := int(progress.learner.epoch)) < training.epochs:
             count = min(training.check_every, training.epochs - done)
             started = time.perf_counter()
@@ -178,6 +178,8 @@ def _next(
 
 def stored_run(run: Path) -> tuple[Experiment, int]:
     """The experiment and the seed that a run folder was trained with, to go on with it."""
+    if not (run / CONFIG).exists():
+        raise ValueError(f"{run}: holds no training to go on with: begin one, with --out {run}")
     experiment = load_toml(Experiment, run / CONFIG)
     if isinstance(experiment.training, PPOSettings):
         raise ValueError(f"{run}: was trained by PPO, which does not go on where it stopped: train anew")
@@ -204,11 +206,12 @@ def _epoch_of(line: str) -> int | float:
         return float("inf")
 
 
-def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Any) -> None:
+def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Events) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
         # No time in it: the same experiment and seed give the same file.
         best = {"seed": seed, "epoch": check.epoch, "held_out": check.held_out}
         save_tree(out / BEST, progress.best.policy, experiment, "policy", best)
-    save_tree(out / LAST, progress, experiment, "training", facts)
+    # The last file decides how far the training is: killed before it is there, all that was written is written again.
     write_check(out, check, events)
+    save_tree(out / LAST, progress, experiment, "training", facts)
