@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from foveate.files import read_json, write_json
 from foveate.geometry.space import Space
 from foveate.scenario import SceneSettings
@@ -42,8 +40,8 @@ def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
     """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
-    rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
-    return _scenes(json.loads(rows), "scenes", space, settings)
+    rows = json.loads(json.dumps([asdict(scene) for scene in scenes]))  # as they would stand in a file
+    return _scenes(rows, "scenes", space, settings)
 
 
 def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
