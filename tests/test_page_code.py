@@ -116,21 +116,22 @@ def fresh(folder: Path, preset: str) -> None:
 
 
 @pytest.fixture
-def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where a reader works: the examples, runs of earlier pages, and small sizes."""
+def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where a reader works, with the examples, small sizes, and first weights for those of presets (see `fresh`)."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     train, table1, own = foveate.train, foveate.runs.table1, foveate.runs.own_suite
     monkeypatch.setattr(
-        "foveate.api.train", lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES})
+        "foveate.api.train",
+        lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
     )
     monkeypatch.setattr("foveate.runs.table1", lambda *given: table1(*given)[:2])
     monkeypatch.setattr("foveate.runs.own_suite", lambda *given: own(*given)[:2])
     monkeypatch.setattr("foveate.learner_settings.JudgedSettings.held_out", 4)
     monkeypatch.setattr("foveate.runs.TRAINED", tmp_path / "trained")
-    for name in PRESETS:
-        fresh(tmp_path / "trained" / name, name)
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    jax.config.update("jax_disable_most_optimizations", True)  # what runs so little need not run fast
+    yield tmp_path
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def run_python(page: Path) -> dict[str, Any]:
@@ -143,6 +144,7 @@ def run_python(page: Path) -> dict[str, Any]:
 
 def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = ROOT / "docs" / "tutorial.md"
+    fresh(reader / "trained" / "true-view", "true-view")
     left = run_python(page)
     said = capsys.readouterr().out
     assert left["tracker"].ids == ("anna", "ben")
@@ -162,6 +164,7 @@ def test_the_page_of_the_python_functions_runs() -> None:
 
 
 def test_the_page_on_space_runs(reader: Path) -> None:
+    fresh(reader / "trained" / "quadrotor", "quadrotor")
     left = run_python(ROOT / "docs" / "space.md")
     assert left["policy"].axes == ("vx", "vy", "vz", "wz")
     assert np.isfinite(left["command"]).all()
