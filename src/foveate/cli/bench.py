@@ -84,7 +84,7 @@ class Bench:
         import jax
 
         from foveate.benchmarks import measurements
-        from foveate.cli.common import Bar
+        from foveate.progress import Bar
         from foveate.timing import Metric, measure_yardsticks
 
         jax.config.update("jax_enable_compilation_cache", False)  # so that compilation is what is timed
