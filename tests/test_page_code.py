@@ -121,7 +121,8 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     train, table1, own = foveate.train, foveate.runs.table1, foveate.runs.own_suite
     monkeypatch.setattr(
-        "foveate.api.train", lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES})
+        "foveate.api.train",
+        lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
     )
     monkeypatch.setattr("foveate.runs.table1", lambda *given: table1(*given)[:2])
     monkeypatch.setattr("foveate.runs.own_suite", lambda *given: own(*given)[:2])
