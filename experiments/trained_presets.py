@@ -19,8 +19,9 @@ import jax
 import foveate
 from foveate.api import load, train
 from foveate.episodes import SUITE_SCENES_PER_CELL, own_suite
-from foveate.evaluation import prepare, rows_of, simulate
+from foveate.evaluation import Suite, prepare, rows_of, simulate
 from foveate.files import write_json
+from foveate.problem import Trace
 from foveate.rollout import PROTOCOLS
 from foveate.runs import TRAINED
 from foveate.settings import PRESETS
@@ -30,15 +31,18 @@ SCORED = 2
 """Scenes of each cell of a suite."""
 
 
-def scores(preset: str) -> dict[str, float]:
-    """The true score [nat per target] of the trained policy of a preset on a few scenes, by their ids."""
+def played(preset: str) -> tuple[Suite, Trace]:
+    """A few scenes of the preset's own, and what its trained policy does in them, with a real filter."""
     policy = load(preset)
-    problem, settings = policy.problem, policy.scenario.scenes
-    known = own_suite(settings, problem)
+    known = own_suite(policy.scenario.scenes, policy.problem)
     chosen = [scene for i, scene in enumerate(known) if i % SUITE_SCENES_PER_CELL < SCORED]
-    suite = prepare(problem, settings, chosen)
-    trace = simulate(suite, policy.network, PROTOCOLS["true"], chunk=len(chosen))
-    rows = rows_of(suite, preset, "true", trace, [0.0] * len(chosen))
+    suite = prepare(policy.problem, policy.scenario.scenes, chosen)
+    return suite, simulate(suite, policy.network, PROTOCOLS["true"], chunk=len(chosen))
+
+
+def scores(suite: Suite, trace: Trace) -> dict[str, float]:
+    """The true score [nat per target] in each scene, by its id."""
+    rows = rows_of(suite, "policy", "true", trace, [0.0] * len(suite.scenes))
     return {row.scene: round(row.score, 4) for row in rows if row.score is not None}
 
 
@@ -51,7 +55,7 @@ def make(preset: str) -> None:
     shutil.rmtree(TRAINED / preset, ignore_errors=True)
     policy.save(TRAINED / preset)
     jax.config.update("jax_enable_x64", True)  # for all threads, which a context is not
-    found = scores(preset)
+    found = scores(*played(preset))
     jax.config.update("jax_enable_x64", False)
     record = {
         "preset": preset,

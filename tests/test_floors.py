@@ -45,6 +45,7 @@ FLOORS = [
     [
         *(
             "learning.sensitivity",
+            "learning.gradient",
             "learning.policy_gradient",
             "learning.actor_critic",
             "learning.events",

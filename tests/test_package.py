@@ -11,6 +11,8 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import foveate
@@ -70,12 +72,9 @@ def test_the_wheel_is_whole_and_runs(built: Path) -> None:
 
 
 def files_of_the_package() -> list[Path]:
-    return [
-        path
-        for path in (ROOT / "src" / "foveate").rglob("*")
-        if (path.is_file() and path.suffix in {".py", ".pyi", ".toml", ".json", ".npz", ".typed"})
-        or path.name == "py.typed"
-    ]
+    kinds = {".py", ".pyi", ".typed", ".toml", ".json", ".npz"}
+    package = ROOT / "src" / "foveate"
+    return [path for path in package.rglob("*") if path.name == "py.typed" or path.suffix in kinds]
 
 
 def test_the_sdist_has_what_a_build_needs(built: Path) -> None:
@@ -102,10 +101,21 @@ def test_the_trained_presets_are_small_and_of_their_presets() -> None:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_trained_preset_scores_what_is_recorded(preset: str) -> None:
+def test_a_trained_preset_scores_what_is_recorded_and_decides_as_the_simulation(preset: str) -> None:
+    """Every third decision of a scene, from the beliefs before it and the known inputs, as a user would ask for it."""
+    script = runpy.run_path(str(ROOT / "experiments" / "trained_presets.py"))
+    suite, trace = script["played"](preset)
     record = json.loads((TRAINED / preset / "record.json").read_text(encoding="utf-8"))
-    scores = runpy.run_path(str(ROOT / "experiments" / "trained_presets.py"))["scores"](preset)
-    assert scores == pytest.approx(record["scores"], abs=0.01)
+    assert script["scores"](suite, trace) == pytest.approx(record["scores"], abs=0.01)
+    policy, K, n = foveate.load(preset), suite.scenes[0].horizon, len(suite.scenes[0].targets)
+    control, commands = policy.problem.agent.control, []
+    for k in range(0, K, 3):
+        now = foveate.Belief(trace.mean[0, k, :n], information=trace.information[0, k, :n])
+        coming = policy.predict(now, suite.episodes.inputs[0, k, :n], k)
+        commands.append(policy(coming, trace.pose[0, k], K - k))
+        np.testing.assert_allclose(commands[-1], control(jnp.asarray(trace.action[0, k])), rtol=0, atol=1e-6)
+    assert (np.ptp(commands, axis=0) > 1e-3).all(), "decisions must differ, or nothing was compared"
+    assert len(policy.axes) == commands[0].size
 
 
 def test_a_run_of_a_presets_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

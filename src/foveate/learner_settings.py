@@ -53,6 +53,9 @@ class TrainingSettings(LearningSettings):
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
     or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
+
+    At most `together` episodes are simulated at once on each device (None: 64 on a CPU, more elsewhere); this bounds
+    memory, and changes rounding only.
     """
 
     updates: ClassVar[int] = 1
@@ -67,9 +70,11 @@ class TrainingSettings(LearningSettings):
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
     check_every: int = 50
+    together: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require(self.together is None or self.together >= 1, "together", self.together, "expected >= 1")
         for name in ("epochs", "episodes", "check_every"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         positive(self, "learning_rate", "gradient_bound")
