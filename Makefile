@@ -11,13 +11,14 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test lint clean
+.PHONY: help demo test lint package clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make demo    install the core, then run examples/demo.py: a table on the screen, pictures in runs/demo/'
 	@echo 'make test    install the core and the test tools, then run ruff, pyright and the tests'
 	@echo 'make lint    the same installation, ruff and pyright only'
+	@echo 'make package the same installation, then wheel and sdist into dist/'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
 	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
@@ -39,6 +40,10 @@ lint: $(VENV)/.stamp-dev
 	@$(BIN)/ruff format --check
 	@echo '== types: pyright'
 	@$(BIN)/pyright
+
+package: $(VENV)/.stamp-dev
+	@echo '== package: dist/'
+	@$(BIN)/python -m hatchling build
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist
