@@ -12,7 +12,7 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test lint docs bench clean
+.PHONY: help demo test lint docs bench package clean
 .NOTPARALLEL:
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo 'make lint    the same installation, ruff and pyright only'
 	@echo 'make docs    install what documentation is made with, then build it, with broken links refused, into site/'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
+	@echo 'make package the same installation, then wheel and sdist into dist/'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
 	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
@@ -50,6 +51,10 @@ docs: $(VENV)/.stamp-extra-docs
 
 bench: $(VENV)/.stamp-dev
 	@$(BIN)/foveate bench --baseline benchmarks/baseline.json $(BENCH_ARGS)
+
+package: $(VENV)/.stamp-dev
+	@echo '== package: dist/'
+	@$(BIN)/python -m hatchling build
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist site

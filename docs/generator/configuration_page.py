@@ -20,12 +20,15 @@ and what would be right. In Python the same records are [`foveate.Experiment`][f
 [`foveate.Scenario`][foveate.Scenario] and what they hold, with the same names.
 
 Where a table comes in several kinds, its first key says which (`kind`, `shape` or `algorithm`). A matrix is a list of
-rows. Presets are such configurations, too; the quadrotor's, for one, written out:
+rows. Presets are such configurations, too: the last section has one.
+"""
+EXAMPLE = """## The quadrotor's
 
 ```toml
 {preset}
 ```
 """
+TAGS = ("kind", "shape", "algorithm")
 NUMBERS = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 UNIT = re.compile(r"(?:_(per))?_(m|s|rad|deg)(\d?)((?:_s\d?)*)$")
 
@@ -33,7 +36,7 @@ UNIT = re.compile(r"(?:_(per))?_(m|s|rad|deg)(\d?)((?:_s\d?)*)$")
 def page() -> str:
     """The whole page, in Markdown."""
     preset = dumps_toml(PRESETS["quadrotor"]).strip()
-    return "\n\n".join([INTRODUCTION.format(preset=preset), *_sections(Experiment, "")]) + "\n"
+    return "\n\n".join([INTRODUCTION, *_sections(), EXAMPLE.format(preset=preset)])
 
 
 def unit(name: str) -> str:
@@ -62,7 +65,7 @@ def said_of(cls: type) -> dict[str, str]:
 def untold(cls: type) -> list[str]:
     """Keys that neither the text of their class, or of one that it extends, nor a text of their own explains."""
     prose = " ".join(base.__doc__ or "" for base in cls.__mro__[:-1])
-    hints, known = get_type_hints(cls), (*said_of(cls), "kind", "shape", "algorithm")
+    hints, known = get_type_hints(cls), (*said_of(cls), *TAGS)
     keys = [field.name for field in fields(cls) if not _dataclasses(hints[field.name])]
     return [key for key in keys if key not in known and f"`{key}`" not in prose]
 
@@ -77,30 +80,42 @@ def tables(cls: type = Experiment, path: str = "") -> Iterator[tuple[str, type]]
             yield from tables(kind, here)
 
 
-def _sections(cls: type, path: str) -> Iterator[str]:
-    shown = ""
-    for here, kind in tables(cls, path):
-        if here != shown:
-            yield f"## `[{here}]`"
-            shown = here
-        yield _section(kind)
+def _sections() -> Iterator[str]:
+    """The tables one after the other; a kind that stands in several is explained in the first."""
+    explained: dict[type, str] = {}
+    kinds: dict[str, list[type]] = {}
+    for path, kind in tables():
+        kinds.setdefault(path, []).append(kind)
+    for path, several in kinds.items():
+        yield f"## `[{path}]`"
+        if all(kind in explained for kind in several):
+            yield f"As `[{explained[several[0]]}]`: {', '.join(filter(None, map(_tag, several)))}."
+            continue
+        tags = [tag for tag in map(_tag, several) if tag]
+        for kind in several:
+            explained[kind] = path
+            if len(several) > 1:
+                yield f"### {_tag(kind) or f'Without `{tags[0].partition(' ')[0].strip('`')}`'}"
+            yield _section(kind)
+
+
+def _tag(cls: type) -> str:
+    """The line of TOML that says which kind of a table it is; none where the kind has no such key."""
+    found = next((field for field in fields(cls) if field.name in TAGS), None)
+    return "" if found is None else f'`{found.name} = "{get_args(get_type_hints(cls)[found.name])[0]}"`'
 
 
 def _section(cls: type) -> str:
-    """One kind of a table: which it is, what it means, its keys."""
-    tag = next((f for f in fields(cls) if f.name in ("kind", "shape", "algorithm")), None)
+    """One kind of a table: what it means, and its keys."""
     hints, said = get_type_hints(cls), said_of(cls)
-    head = []
-    if tag is not None:
-        usual = ", the usual one" if tag.default is not MISSING else ""
-        head = [f'### `{tag.name} = "{get_args(hints[tag.name])[0]}"`{usual}']
+    usual = [f"Meant where `{f.name}` is left out." for f in fields(cls) if f.name in TAGS and f.default is not MISSING]
     rows = [
         f"| `{f.name}` | {_type(hints[f.name])} | {_default(f)} | {unit(f.name)} | {said.get(f.name, '')} |"
         for f in fields(cls)
-        if f is not tag and not _dataclasses(hints[f.name])
+        if f.name not in TAGS and not _dataclasses(hints[f.name])
     ]
     table = ["| key | type | default | unit | |\n|---|---|---|---|---|\n" + "\n".join(rows)] if rows else []
-    return "\n\n".join([*head, *_prose(cls), *table])
+    return "\n\n".join([*_prose(cls), *usual, *table])
 
 
 def _prose(cls: type) -> list[str]:

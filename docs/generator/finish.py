@@ -4,6 +4,7 @@ import re
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
+from unicodedata import lookup
 from urllib.parse import unquote, urlsplit
 
 from latex2mathml.converter import convert
@@ -12,6 +13,7 @@ INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 DISPLAY = re.compile(r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', re.DOTALL)
 LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src", "audio": "src"}
 LOADED_LINKS = {"stylesheet", "icon", "preload", "preconnect", "dns-prefetch", "modulepreload", "manifest"}
+VARIANT = re.compile(r'(?<=<mi) mathvariant="(script|double-struck)">([A-Z])(?=</mi>)')
 
 
 def finish(site: Path) -> int:
@@ -34,9 +36,19 @@ def with_formulas(html: str) -> str:
     """The page with every formula in MathML, which browsers draw by themselves."""
 
     def formula(found: re.Match[str]) -> str:
-        return convert(unescape(found[1]).strip(), display="block" if found.re is DISPLAY else "inline")
+        drawn = convert(unescape(found[1]).strip(), display="block" if found.re is DISPLAY else "inline")
+        return VARIANT.sub(lambda letter: f">{styled(letter[1], letter[2])}", drawn)
 
     return DISPLAY.sub(formula, INLINE.sub(formula, html))
+
+
+def styled(style: str, letter: str) -> str:
+    """The character of a script or double-struck capital: browsers have given up the attribute that asks for it."""
+    name = f"{style.upper()} CAPITAL {letter}"  # the few that came first are not called mathematical
+    try:
+        return lookup(f"MATHEMATICAL {name}")
+    except KeyError:
+        return lookup(name)
 
 
 class Links(HTMLParser):

@@ -180,7 +180,6 @@ def test_wrong_input_is_one_line(
     unknown.write_text("[training]\nepoch = 3\n")
     assert "nowhere" in failure(capsys, "evaluate", "nowhere")
     assert "presets are paper" in failure(capsys, "evaluate", "nowhere")
-    assert "train it" in failure(capsys, "evaluate", "best")
     assert "expected one of" in failure(capsys, "evaluate", str(run), "--method", "psychic")
     assert "--episodes 0" in failure(capsys, "evaluate", str(run), "--episodes", "0")
     assert "bad.csv" in failure(capsys, "replay", str(run), str(bad))
@@ -250,7 +249,7 @@ def test_ppo_trains_a_run_that_evaluates(
     assert main(["evaluate", str(run), "--scenes", str(scenes), "--json", str(tmp_path / "out.json")]) == 0
     check_contract("evaluate", tmp_path / "out.json")
     assert "does not go on" in failure(capsys, "train", "--resume", str(run))
-    assert "expected --steps" in failure(capsys, *train, "--epochs", "3", "--out", str(tmp_path / "x"))
+    assert "expected steps" in failure(capsys, *train, "--epochs", "3", "--out", str(tmp_path / "x"))
     assert "pip install 'foveate[ppo]'" in failure(capsys, *train, "--out", str(tmp_path / "x"))
     assert not (tmp_path / "x").exists()
 
@@ -259,8 +258,8 @@ def test_an_algorithm_and_its_counts_belong_together(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "x"))
-    assert "--steps: this algorithm" in failure(capsys, "train", "--steps", "10", *out)
-    assert "expected --steps" in failure(capsys, "train", "--algorithm", "ppo", "--episodes", "10", *out)
+    assert "steps 10: this algorithm" in failure(capsys, "train", "--steps", "10", *out)
+    assert "expected steps" in failure(capsys, "train", "--algorithm", "ppo", "--episodes", "10", *out)
     assert "steps = 0: expected >= 1" in failure(capsys, "train", "--algorithm", "ppo-tuned", "--steps", "0", *out)
     assert "--algorithm and --resume" in failure(capsys, "train", "--algorithm", "ppo", "--resume", str(run))
     assert not (tmp_path / "x").exists()
