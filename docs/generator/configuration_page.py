@@ -91,11 +91,11 @@ def _sections() -> Iterator[str]:
         if all(kind in explained for kind in several):
             yield f"As `[{explained[several[0]]}]`: {', '.join(filter(None, map(_tag, several)))}."
             continue
-        tags = [tag for tag in map(_tag, several) if tag]
+        keys = [field.name for kind in several for field in fields(kind) if field.name in TAGS]
         for kind in several:
             explained[kind] = path
             if len(several) > 1:
-                yield f"### {_tag(kind) or f'Without `{tags[0].partition(' ')[0].strip('`')}`'}"
+                yield f"### {_tag(kind) or f'Without `{keys[0]}`'}"
             yield _section(kind)
 
 
