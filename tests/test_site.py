@@ -126,7 +126,7 @@ def test_a_link_to_nothing_is_named(tmp_path: Path, target: str) -> None:
 
 def test_formulas_become_mathml_and_sound_pages_pass(tmp_path: Path) -> None:
     finish = finished()
-    inline = r'<span class="arithmatex">\(\tfrac12 &lt; \mathcal N \mathbb H\)</span>'
+    inline = r'<span class="arithmatex">\(\tfrac12 &lt; \mathcal N \mathbb H\)</span>.'
     (tmp_path / "a.html").write_text(f'{inline}<a href="b.html#here">b</a><div class="arithmatex">\\[x\\]</div>')
     (tmp_path / "b.html").write_text(
         '<h1 id="here">b</h1><a href="https://example.org">a link, which loads nothing</a>'
@@ -136,6 +136,7 @@ def test_formulas_become_mathml_and_sound_pages_pass(tmp_path: Path) -> None:
     assert "arithmatex" not in text
     assert "<mfrac><mn>1</mn><mn>2</mn></mfrac>" in text
     assert "<mi>𝒩</mi><mi>ℍ</mi>" in text
+    assert "</math>.</span>" in text, "the full stop stays with its formula"
     assert 'display="block"' in text
 
 

@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from latex2mathml.converter import convert
 
-INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
+INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>([.,;:)]*)', re.DOTALL)
 DISPLAY = re.compile(r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', re.DOTALL)
 LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src", "audio": "src"}
 LOADED_LINKS = {"stylesheet", "icon", "preload", "preconnect", "dns-prefetch", "modulepreload", "manifest"}
@@ -37,7 +37,8 @@ def with_formulas(html: str) -> str:
 
     def formula(found: re.Match[str]) -> str:
         drawn = convert(unescape(found[1]).strip(), display="block" if found.re is DISPLAY else "inline")
-        return VARIANT.sub(lambda letter: f">{styled(letter[1], letter[2])}", drawn)
+        drawn = VARIANT.sub(lambda letter: f">{styled(letter[1], letter[2])}", drawn)
+        return drawn if found.re is DISPLAY else f'<span class="formula">{drawn}{found[2]}</span>'
 
     return DISPLAY.sub(formula, INLINE.sub(formula, html))
 
