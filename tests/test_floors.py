@@ -30,6 +30,7 @@ FLOORS = [
         *(
             "learner_settings",
             "settings",
+            "provenance",
             "checkpoint",
             "measures",
             "evaluation",

@@ -2,23 +2,29 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.configuration import digest
 from foveate.episodes import first_error
 from foveate.evaluation import decision_time
 from foveate.measures import chi_square_band, longest_run, splits
 from foveate.motion_fit import fit_statistics, median_fix_interval_s
 from foveate.problem import Arrivals, Episode, Policy, Problem, Trace, Truth
+from foveate.provenance import provenance
 from foveate.recorded import Recording, Slots, resample_slots
 from foveate.rollout import TRUE, rollout
 from foveate.scenario import Scenario
+from foveate.settings import Experiment
 
 MAX_ROUNDING = 0.05
 """Positions must be resolved to this share of the sensor's standard deviation."""
+VERSION = 1
+"""Of the files of replays."""
 CONTRADICTION = 4.0
 """A process noise off by more than this factor in variance is worth a warning."""
 
@@ -234,6 +240,9 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
     return found
 
 
-def result(rows: Sequence[ReplayRow], facts: dict[str, object]) -> dict[str, object]:
-    """The replay as JSON."""
-    return {**facts, "rows": [asdict(row) for row in rows]}
+def result(
+    rows: Sequence[ReplayRow], experiment: Experiment, recording: Recording, facts: dict[str, Any]
+) -> dict[str, Any]:
+    """The replay as JSON, with what it was made with."""
+    made = {"experiment": digest(experiment), "recording_sha256": recording.sha256}
+    return {**provenance(), **made, **facts, "rows": [asdict(row) for row in rows]}

@@ -46,10 +46,10 @@ class Replay:
         import numpy as np
 
         from foveate.cli.common import check_methods, check_output, check_seed
-        from foveate.files import write_json
+        from foveate.files import write_document
         from foveate.progress import Bar
         from foveate.recorded import load_recording, window
-        from foveate.replay import prepare_replay, replay, result, warnings_for
+        from foveate.replay import VERSION, prepare_replay, replay, result, warnings_for
         from foveate.runs import experiment_of, policy_of
 
         methods = check_methods(self.method)
@@ -75,12 +75,13 @@ class Replay:
                         films[name] = (ready, trace)
                     bar.update(len(rows), name)
         self._print(rows, methods)
-        document = result(rows, {"run": self.run, "recording": self.recording.name, "seed": self.seed})
+        facts = {"run": self.run, "recording": self.recording.name, "seed": self.seed}
+        document = result(rows, experiment, recording, facts)
         if self.json is not None:
-            write_json(self.json, document)
+            write_document(self.json, "replay", VERSION, document)
         if self.out is not None:
             self.out.mkdir(exist_ok=True)
-            write_json(self.out / "replay.json", document)
+            write_document(self.out / "replay.json", "replay", VERSION, document)
             self._draw(films)
         return 0
 
