@@ -45,6 +45,7 @@ FLOORS = [
     [
         *(
             "learning.sensitivity",
+            "learning.gradient",
             "learning.policy_gradient",
             "learning.actor_critic",
             "learning.events",
@@ -89,6 +90,8 @@ FLOORS = [
         "view_stage",
         "view_chart",
         "view",
+        "timing",
+        "benchmarks",
         "cli.*",
     ],
 ]

@@ -1,6 +1,8 @@
 """The command line as a user meets it: help at once, one line for wrong input, files for programs, exit status."""
 
 import json
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,7 @@ import pytest
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "recordings.md"
 CONTRACT = ROOT.parent / "shared" / "tools" / "contract.py"
 CSV = "time_s,track_id,x_m,y_m\n"
 
@@ -46,15 +49,21 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def of_the_page(command: str, places: dict[str, Path]) -> list[str]:
+    """That command as docs/recordings.md has it, with the files in their places here, for 30 s in place of hours."""
+    lines = re.findall(rf"^foveate ({command} .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    instead = {name: str(place) for name, place in places.items()} | {"600": "20"}
+    return [instead.get(word, word) for word in shlex.split(lines[0])]
+
+
 @pytest.fixture(scope="module")
 def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """fit -> train --config, with next to no training."""
     folder = tmp_path_factory.mktemp("runs")
-    scenario = folder / "scenario.toml"
-    assert main(["fit", str(recording), "--out", str(scenario), "--end", "20"]) == 0
-    out = folder / "run"
-    assert main(["train", "--config", str(scenario), "--epochs", "2", "--episodes", "8", "--out", str(out)]) == 0
-    return out
+    places = {"walkers.csv": recording, "walkers.toml": folder / "scenario.toml", "runs/walkers": folder / "run"}
+    assert main(of_the_page("fit", places)) == 0
+    assert main([*of_the_page("train", places), "--epochs", "2", "--episodes", "8"]) == 0
+    return folder / "run"
 
 
 def test_help_needs_no_jax_and_names_every_command() -> None:
@@ -151,10 +160,8 @@ def test_plan_refuses_what_does_not_fit(
 
 def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "replay"
-    assert (
-        main(["replay", str(run), str(recording), "--start", "20", "--method", "policy", "still", "--out", str(out)])
-        == 0
-    )
+    places = {"walkers.csv": recording, "runs/walkers": run, "runs/walkers/replay": out}
+    assert main([*of_the_page("replay", places), "--method", "policy", "still"]) == 0
     assert {path.name for path in out.iterdir()} == {"replay.json", "replay.png", "replay.gif"}
     rows = json.loads((out / "replay.json").read_text())["rows"]
     assert [row["method"] for row in rows] == ["policy", "still"]

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from foveate.cli.bench import Bench
 from foveate.cli.common import keep_compiled
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.export import Export
@@ -43,6 +44,7 @@ COMMANDS = {
     "render": Render,
     "view": View,
     "export": Export,
+    "bench": Bench,
 }
 
 

@@ -1,0 +1,82 @@
+"""What the benchmark's numbers mean; how large they are is no test's business."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from foveate import benchmarks
+from foveate.benchmarks import dense_products, least_operations, real_steps, training_step
+from foveate.policies.attention import AttentionSettings
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import PRESETS, Experiment, TrainingSettings
+
+TINY = Experiment(
+    scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=3)),
+    policy=AttentionSettings(agent_widths=(4,), target_widths=(4,), out_widths=(4,)),
+    training=TrainingSettings(episodes=2, held_out=2),
+)
+
+
+def test_the_limit_counts_the_papers_network_on_real_targets_and_steps():
+    """By hand: LI_FC 5-64-32 a target, AP_FC 3-32-32 and Out_FC 64-64-2 a decision; n targets for 3 n steps."""
+    paper = PRESETS["paper"]
+    policy = paper.policy.policy(paper.scenario.problem(), jax.random.key(0))
+    assert dense_products(policy) == (5 * 64 + 64 * 32, 3 * 32 + 32 * 32 + 64 * 64 + 64 * 2)
+    steps, target_steps = real_steps(paper.scenario.scenes)
+    assert steps == np.mean([3 * n for n in range(3, 9)])
+    assert target_steps == np.mean([n * 3 * n for n in range(3, 9)])
+    operations = least_operations(policy, paper.scenario.scenes, 60)
+    assert operations == pytest.approx(60 * 6 * (99.5 * 2368 + 16.5 * 5344))
+
+
+def test_a_training_step_is_told_beside_its_limit():
+    found = {metric.key: metric for metric in training_step(TINY, 60, repeats=1)}
+    step, rate = found["train_epoch_s_60"].value, found["train_episodes_per_s_60"].value
+    assert rate * step == pytest.approx(60)
+    assert found["train_target_steps_per_s_60"].value == pytest.approx(rate * 1.5 * 3)
+    assert found["train_step_over_limit_60"].value > 1, "nothing is faster than its arithmetic"
+    assert found["train_compile_s"].value > 0
+
+
+def test_decisions_are_timed_for_every_number_of_targets(monkeypatch):
+    monkeypatch.setattr(benchmarks, "TARGETS", (1, 3))
+    for name, decisions in (("jax", benchmarks.decisions_jax), ("onnx", benchmarks.decisions_onnx)):
+        keys = [metric.key for metric in decisions(TINY, 1)]
+        assert keys == [f"decision_{name}_us_1", f"decision_{name}_us_3"]
+
+
+def test_environments_are_stepped(monkeypatch):
+    monkeypatch.setattr(benchmarks, "ENVIRONMENTS", 2)
+    (metric,) = benchmarks.environments(TINY, 1)
+    assert metric.key == "env_steps_per_s_2"
+    assert metric.value > 0
+
+
+def test_a_training_compiles_nothing_after_its_first_check(monkeypatch):
+    """With a learner whose program has a size that changes, the count says so."""
+    found = {metric.key: metric.value for metric in benchmarks.compiled(TINY)}
+    assert found["train_late_compilations"] == 0
+    assert found["train_compilations"] >= 2
+
+    def grows(experiment, out, report):
+        for size in (3, 4, 5):
+            eqx.filter_jit(lambda x: x + 1.0)(np.ones(size))
+            report(None, 3)
+
+    monkeypatch.setattr(benchmarks, "train", grows)
+    found = {metric.key: metric.value for metric in benchmarks.compiled(TINY)}
+    assert found["train_late_compilations"] >= 2
+
+
+def test_a_process_that_fails_says_how():
+    with pytest.raises(ValueError, match="ended with 1: NameError"):
+        benchmarks._process("-c", "nothing")
+    assert benchmarks._process("-c", "import os; assert os.environ['JAX_COMPILATION_CACHE_DIR'] == 'x'", cache="x") > 0
+
+
+def test_all_is_on_the_list():
+    names = [name for name, _ in benchmarks.measurements((60, 1024), quick=True)]
+    assert names[:2] == ["training step, 60 episodes", "training step, 1024 episodes"]
+    longer = [name for name, _ in benchmarks.measurements((60,), quick=False)]
+    assert "the paper's training, from command to checkpoint" in longer
