@@ -40,6 +40,6 @@ def build(out: Path) -> int:
 
 if __name__ == "__main__":
     try:
-        print(f"{build(ROOT / 'site')} pages: open site/index.html")
+        print(f"{build(ROOT / 'site')} pages: open site/index.html; to search them: python -m http.server -d site")
     except ValueError as error:
         sys.exit(f"docs: {error}")
