@@ -46,6 +46,7 @@ FLOORS = [
     [
         *(
             "learning.sensitivity",
+            "learning.gradient",
             "learning.policy_gradient",
             "learning.actor_critic",
             "learning.events",

@@ -72,12 +72,14 @@ def draw(settings: SceneSettings, problem: Problem, uniform: Float[Array, " size
     )
 
 
-def draw_noise(problem: Problem, key: Key, steps: int, targets: int) -> Noise:
-    """The chance of one training episode."""
+def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth: bool = True) -> Noise:
+    """The chance of one training episode; where no truth is made of it, the numbers that only a truth needs are 0."""
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
     uniform_key, normal_key = jax.random.split(key)
     shapes = ((targets, n_y), (steps, targets, n_y), (steps, targets, n_z))
-    first, process, measurement = _cut(jax.random.normal(normal_key, (_size(shapes),)), shapes)
+    # Each number of a draw depends on its place alone: the first ones are the same without the rest.
+    normal = jax.random.normal(normal_key, (_size(shapes if with_truth else shapes[:1]),))
+    first, process, measurement = _cut(jnp.pad(normal, (0, _size(shapes) - len(normal))), shapes)
     jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
     return Noise(jitter=jitter, process=process, measurement=measurement, first=first)
 
@@ -151,7 +153,7 @@ def training_episode(
     With `targets` > 0 it has so many, of the numbers that the settings allow.
     """
     scene_key, noise_key = jax.random.split(key)
-    chance = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max)
+    chance = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max, noise)
     uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
     if targets is not None:
         # The first number says how many targets there are: that of the middle of the share that means so many.

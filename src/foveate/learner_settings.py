@@ -53,20 +53,28 @@ class TrainingSettings(LearningSettings):
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
     or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
+
+    At most `together` episodes are simulated at once on each device (None: 64 on a CPU, more elsewhere); this bounds
+    memory, and changes rounding only.
     """
 
     updates: ClassVar[int] = 1
     """Steps of Adam in an epoch."""
     epochs: int = 1000
+    """Steps of Adam."""
     episodes: int = 60
     learning_rate: float = 3e-4
+    """Of Adam."""
     schedule: Literal["constant", "cosine"] = "constant"
+    """Constant, or falling to 0 as a cosine."""
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
     check_every: int = 50
+    together: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require(self.together is None or self.together >= 1, "together", self.together, "expected >= 1")
         for name in ("epochs", "episodes", "check_every"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         positive(self, "learning_rate", "gradient_bound")
@@ -93,13 +101,21 @@ class PPOSettings(LearningSettings):
     batch: int = 64
     passes: int = 10
     learning_rate: float = 3e-4
+    """Of Adam."""
     schedule: Literal["constant", "linear"] = "constant"
+    """Constant, or falling to 0."""
     discount: float = 0.99
+    """Of rewards, a step."""
     gae_lambda: float = 0.95
+    """Of generalised advantage estimation."""
     clip: float = 0.2
+    """How far the ratio of probabilities may be from 1."""
     value_weight: float = 0.5
+    """Of the value network's loss."""
     entropy_weight: float = 0.0
+    """Of the actions' entropy."""
     gradient_bound: float = 0.5
+    """Of a gradient's norm."""
     log_std: float = 0.0
     reward_scale: float = 1.0
     critic_sees_time: bool = False
@@ -134,18 +150,27 @@ class ActorCriticSettings(JudgedSettings):
     protocols: tuple[Literal["surrogate", "true"], ...] = ("true",)
     select: Literal["surrogate", "true"] = "true"
     objective: Objective = "terminal"
+    """What is earned."""
     epochs: int = 500
+    """Rounds of playing and learning."""
     episodes: int = 256
     passes: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
+    """Of Adam, the policy's, at first."""
     critic_learning_rate: float = 1e-3
+    """Of Adam, the critic's, at first."""
     gradient_bound: float = 0.5
+    """Of a gradient's norm."""
     spread: tuple[float, float] = (0.4, 0.06)
     gae_lambda: float = 0.95
+    """Of generalised advantage estimation."""
     clip: float = 0.2
+    """How far the ratio of probabilities may be from 1."""
     entropy_weight: float = 0.003
+    """Of the modes' entropy."""
     check_every: int = 10
+    """Epochs from one judging on held-out scenes to the next."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -41,6 +41,7 @@ def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
     """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
+    # As they would stand in a file; whoever makes them may have put arrays into them.
     rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
     return _scenes(json.loads(rows), "scenes", space, settings)
 

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from foveate.episodes import training_episode
 from foveate.learner_settings import TrainingSettings
+from foveate.learning.gradient import mean_and_gradient
 from foveate.problem import Episode, Policy, Problem, per_target
 from foveate.rollout import log_dets, weights
 from foveate.scenario import SceneSettings
@@ -83,16 +84,13 @@ def epoch(
     """One step of ascent on a fresh batch; the chance of epoch i comes from (key, i) alone."""
     parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
     episode_key, policy_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
-    batch = jax.vmap(lambda k: training_episode(problem, scenes, k, settings.noise))(
-        jax.random.split(episode_key, settings.episodes)
-    )
+    keys = tuple(jax.random.split(k, settings.episodes) for k in (episode_key, policy_key))
 
-    def loss(parameters):
-        policy = eqx.combine(parameters, rest)
-        keys = jax.random.split(policy_key, settings.episodes)
-        return -jnp.mean(jax.vmap(lambda e, k: objective(problem, policy, e, settings, k))(batch, keys))
+    def loss(parameters, keys):
+        episode = training_episode(problem, scenes, keys[0], settings.noise)
+        return -objective(problem, eqx.combine(parameters, rest), episode, settings, keys[1])
 
-    value, gradient = jax.value_and_grad(loss)(parameters)
+    value, gradient = mean_and_gradient(loss, parameters, keys, settings.together)
     norm = optax.tree.norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
     policy = eqx.apply_updates(learner.policy, updates)
