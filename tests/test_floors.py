@@ -45,6 +45,7 @@ FLOORS = [
     [
         *(
             "learning.sensitivity",
+            "learning.devices",
             "learning.gradient",
             "learning.policy_gradient",
             "learning.actor_critic",
