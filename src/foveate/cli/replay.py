@@ -6,6 +6,9 @@ from typing import Annotated
 
 import tyro
 
+GATE = 0.9999
+"""Of `models.gate`, repeated here to keep help fast."""
+
 
 @dataclass(kw_only=True)
 class Replay:
@@ -31,6 +34,9 @@ class Replay:
     """Number of starts; with more than one they are drawn, alike for all methods, and means are printed."""
     max_gap: float = 2.0
     """Longest gap between two fixes over which a target counts as present [s]."""
+    gate: float | None = GATE
+    """The filter refuses measurements that are farther from their prediction than this share of honest ones; None: it
+    takes whatever comes. After five refusals in a row the target has really jumped, and its belief begins anew."""
     seed: int = 0
     """Seed of the noise and of drawn starts."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -64,7 +70,7 @@ class Replay:
         rows, films = [], {}
         with Bar("replaying", len(starts) * len(methods), "runs") as bar:
             for start in starts:
-                ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed)
+                ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed, self.gate)
                 if not rows:
                     for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
                         print(f"warning: {line}", file=sys.stderr)
@@ -118,6 +124,7 @@ class Replay:
             "nees_seen",
             "nees_unseen",
             "lost",
+            "refused",
         )
         lines = []
         for method in methods:
@@ -138,6 +145,7 @@ class Replay:
             "of the seen",
             "of the never seen",
             "lost",
+            "refused",
         )
         print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)
 
