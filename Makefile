@@ -12,14 +12,16 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint docs bench package clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make demo    install the core, then run examples/demo.py: a table on the screen, pictures in runs/demo/'
 	@echo 'make test    install the core and the test tools, then run ruff, pyright and the tests'
 	@echo 'make lint    the same installation, ruff and pyright only'
+	@echo 'make docs    install what documentation is made with, then build it, with broken links refused, into site/'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
+	@echo 'make package the same installation, then wheel and sdist into dist/'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
 	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
@@ -43,11 +45,19 @@ lint: $(VENV)/.stamp-dev
 	@echo '== types: pyright'
 	@$(BIN)/pyright
 
+docs: $(VENV)/.stamp-extra-docs
+	@echo '== docs: docs/generator/build.py'
+	@$(BIN)/python docs/generator/build.py
+
 bench: $(VENV)/.stamp-dev
 	@$(BIN)/foveate bench --baseline benchmarks/baseline.json $(BENCH_ARGS)
 
+package: $(VENV)/.stamp-dev
+	@echo '== package: dist/'
+	@$(BIN)/python -m hatchling build
+
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist site
 	find . -name .git -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A .venv that works is kept. Where the system's Python comes without ensurepip (Debian without python3-venv),

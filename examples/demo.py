@@ -18,17 +18,17 @@ import numpy as np
 
 from foveate.animation import animate
 from foveate.checkpoint import load_run
+from foveate.configuration import digest
 from foveate.episodes import table1
 from foveate.evaluation import evaluate, prepare, simulate
 from foveate.figures import learning_curve, trajectory_figure
-from foveate.files import write_json
 from foveate.film import film
 from foveate.learning.training import METRICS
 from foveate.progress import train_watched
 from foveate.published import MODEL_BASED, MODEL_FREE
 from foveate.rollout import PROTOCOLS
 from foveate.settings import PRESETS
-from foveate.summary import result, summarise
+from foveate.summary import summarise, write_result
 
 OUT = Path("runs/demo")
 
@@ -49,7 +49,8 @@ def main() -> None:
     suite = prepare(problem, experiment.scenario.scenes, table1(problem))
     rows = evaluate(suite, "policy", policy, ("surrogate", "true"))
     summary = summarise(rows, problem.motion.state_size)
-    write_json(OUT / "table1.json", result(rows, summary, {"run": str(OUT), "scenes": "table1"}))
+    facts = {"run": str(OUT), "scenes": "table1", "experiment": digest(experiment), "seed": suite.seed}
+    write_result(OUT / "table1.json", rows, summary, facts)
     _print(summary)
 
     trace = simulate(suite, policy, PROTOCOLS["surrogate"])  # what the policy was trained for, as in the paper

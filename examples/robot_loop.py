@@ -1,7 +1,6 @@
 """The loop of a robot at a fixed rate: predict, decide, move, detect, update.
 
-    foveate train --preset best --out runs/best
-    python examples/robot_loop.py runs/best --steps 60 --speed 20
+    python examples/robot_loop.py best --steps 60 --speed 20
 
 `Robot` is a simulated one: put your own driver and detector in its place. What it needs to know of a target is an id
 and a position in its own frame, whenever it sees one.
@@ -10,16 +9,15 @@ and a position in its own frame, whenever it sees one.
 import argparse
 import time
 from functools import partial
-from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.checkpoint import load_run
 from foveate.poses import placed
 from foveate.problem import Problem
+from foveate.runs import load
 from foveate.tracker import Tracker
 
 MOST = 16
@@ -66,13 +64,13 @@ class Robot:
 def main() -> None:
     """Drive for a while, and say each step what was seen and how well the targets are known."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("run", type=Path, help="run folder of foveate train")
+    options.add_argument("run", help="run folder of foveate train, or a preset")
     options.add_argument("--steps", type=int, default=60)
     options.add_argument("--speed", type=float, default=1.0, help="of the clock, for a look: 20 is 20 times as fast")
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
 
-    experiment, policy, _ = load_run(given.run)
+    experiment, policy, _ = load(given.run)
     problem = experiment.scenario.problem()
     decide = eqx.filter_jit(lambda observation: policy(observation, (), jax.random.key(0))[0])
     robot, tracker = Robot(problem, given.seed), Tracker(problem, forget_after_s=30.0)

@@ -1,7 +1,7 @@
 """Measures by hand, by brute force and by scipy; the same chance for every method; an honest filter looks honest."""
 
-import json
 from dataclasses import replace
+from importlib.metadata import version
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from foveate.problem import Trace
 from foveate.rollout import TRUE
 from foveate.scenario import Scenario, SceneSettings
 from foveate.scenes import Scene
-from foveate.summary import result, summarise
+from foveate.summary import read_result, summarise, write_result
 from foveate.view_settings import SectorView
 
 PAPER = Scenario().problem()
@@ -102,7 +102,7 @@ def rows():
     return suite, evaluate(suite, "still", handmade("still", PAPER, 2.0), ("surrogate", "true"))
 
 
-def test_rows(rows):
+def test_rows(rows, tmp_path):
     _, found = rows
     assert [(r.protocol, r.scene, r.episode) for r in found] == [
         (protocol, scene, k)
@@ -121,7 +121,18 @@ def test_rows(rows):
             assert row.score is row.entropy is None
         else:
             assert row.entropy == pytest.approx(np.log(2 * np.pi * np.e) - row.score / 2, abs=1e-12)
-    json.dumps(result(found, summarise(found, 2), {"foveate": "x"}), allow_nan=False)
+    write_result(tmp_path / "r.json", found, summarise(found, 2), {"experiment": "0123", "seed": 3})
+    again, facts = read_result(tmp_path / "r.json")
+    assert again == found
+    device = f"{jax.device_count()} {jax.default_backend()}"
+    assert facts.pop("device").startswith(device)
+    assert facts == {
+        "experiment": "0123",
+        "seed": 3,
+        "foveate": version("foveate"),
+        "jax": jax.__version__,
+        "precision": "float64",
+    }
 
 
 def test_what_was_really_seen_is_the_same_under_both_protocols(rows):

@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 FLOORS = [
     ["types", "linalg", "checks", "files", "configuration", "arrays", "published", "statistics"],
     ["geometry.lie", "geometry.space", "geometry.safe", "geometry.fov", "geometry.fov_spatial"],
-    ["models.agent", "models.target", "models.sensor", "models.belief", "models.absence"],
+    ["models.agent", "models.target", "models.sensor", "models.belief", "models.absence", "models.gate"],
     [
         *("problem", "agent_settings", "view_settings", "target_settings", "scenario"),
         *("scenes", "rollout", "episodes", "lifting", "environment"),
@@ -30,6 +30,7 @@ FLOORS = [
         *(
             "learner_settings",
             "settings",
+            "provenance",
             "checkpoint",
             "measures",
             "evaluation",

@@ -58,7 +58,8 @@ def inside(x: float, y: float) -> bool:
 
 
 def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> None:
-    ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
+    # Without the gate: `a` walks straight on, as this scenario does not expect.
+    ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, gate=None)
     row, trace = replay(ready, "still", handmade("still", ready.problem, DEPTH))
 
     position = {

@@ -25,9 +25,13 @@ class DifferentialDrive:
 
     kind: Literal["differential_drive"] = "differential_drive"
     space: Literal["planar", "spatial"] = "planar"
+    """The plane, or the floor of a world in space."""
     v_min_m_s: float = 0.0
+    """Least speed ahead; below 0 it can reverse."""
     v_max_m_s: float = 4.0
+    """Largest speed ahead."""
     w_max_rad_s: float = math.pi / 3
+    """Largest turn rate to either side."""
 
     def __post_init__(self) -> None:
         right = f"expected > v_min_m_s {self.v_min_m_s}"
@@ -51,8 +55,11 @@ class Quadrotor:
 
     kind: Literal["quadrotor"]
     v_max_m_s: float = 4.0
+    """Largest speed ahead and sideways, to either side."""
     climb_max_m_s: float = 2.0
+    """Largest speed up and down."""
     yaw_rate_max_rad_s: float = math.pi / 2
+    """Largest turn rate to either side."""
     dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
@@ -70,10 +77,15 @@ class FixedWing:
 
     kind: Literal["fixed_wing"]
     v_min_m_s: float = 10.0
+    """Least airspeed."""
     v_max_m_s: float = 20.0
+    """Largest airspeed."""
     roll_rate_max_rad_s: float = 1.0
+    """About the axis ahead."""
     pitch_rate_max_rad_s: float = 0.5
+    """About the axis to the left."""
     yaw_rate_max_rad_s: float = 0.2
+    """About the axis up."""
     dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
@@ -98,6 +110,7 @@ class FreeBody:
 
     kind: Literal["body"]
     space: Literal["planar", "spatial"] = "spatial"
+    """The plane, or space."""
     axes: tuple[str, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]

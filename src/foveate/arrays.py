@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from foveate.files import file_error, read_bytes, write_atomic
+from foveate.files import check_format, file_error, read_bytes, write_atomic
 
 _HEADER = "header"
 _DIGEST = "digest"
@@ -55,13 +55,8 @@ def load_arrays(path: str | Path, kind: str, newest: int) -> tuple[dict[str, Any
         raise file_error(path, f"{problem}; give a {kind} file as foveate wrote it") from error
     if not isinstance(header, dict):
         raise file_error(path, f"has no header; give a {kind} file that foveate wrote")
-    found, version, recorded = header.get("format"), header.get("version"), header.pop(_DIGEST, None)
-    if found != f"foveate-{kind}":
-        raise file_error(path, f"has the format {found!r}; wanted 'foveate-{kind}'")
-    if type(version) is not int or version < 1:
-        raise file_error(path, f"has the version {version!r}; wanted a whole number from 1 to {newest}")
-    if version > newest:
-        raise file_error(path, f"has version {version}; this foveate reads 1 to {newest}, use a newer one")
+    recorded = header.pop(_DIGEST, None)
+    check_format(path, header, kind, newest)
     if recorded != _digest(arrays, header):
         raise file_error(path, f"is damaged: its content is not what was written; give an intact {kind} file")
     return header, arrays

@@ -10,8 +10,7 @@ import numpy as np
 
 from foveate import __version__
 from foveate.arrays import load_arrays, save_arrays
-from foveate.configuration import digest, dumps_toml, load_toml
-from foveate.files import write_atomic
+from foveate.configuration import digest, read_toml, save_toml
 from foveate.problem import Policy
 from foveate.settings import Experiment
 
@@ -34,14 +33,14 @@ def save_tree(path: Path, tree: Any, experiment: Experiment, kind: str, facts: d
     save_arrays(path, {name: np.asarray(leaf) for name, leaf in _named(tree).items()}, header)
 
 
-def load_tree(path: Path, like: T, kind: str, experiment: Experiment | None = None) -> tuple[T, dict[str, Any]]:
+def load_tree(path: Path, like: T, kind: str, content: str | None = None) -> tuple[T, dict[str, Any]]:
     """The pytree that was saved, in the structure and the dtypes of `like`, and the facts beside it.
 
     Raises ValueError in one line for a file that is missing, cut, damaged, newer, or holds other shapes,
-    or was saved by another experiment than the one that is given.
+    or was saved by another experiment than the one whose digest `content` is given.
     """
     header, arrays = load_arrays(path, kind, VERSION)
-    if experiment is not None and header["experiment"] != digest(experiment):
+    if content is not None and header["experiment"] != content:
         raise ValueError(
             f"{path}: belongs to another experiment than the config.toml beside it, which was changed since"
         )
@@ -86,12 +85,11 @@ def load_run(run: Path) -> tuple[Experiment, Policy, dict[str, Any]]:
         raise ValueError(
             f"{run}: no such run folder: expected what `foveate train --out` wrote, or the name of a preset"
         )
-    experiment = load_toml(Experiment, run / CONFIG)
-    policy, facts = load_tree(run / BEST, policy_shape(experiment), "policy", experiment)
+    experiment, content = read_toml(Experiment, run / CONFIG)
+    policy, facts = load_tree(run / BEST, policy_shape(experiment), "policy", content)
     return experiment, policy, facts
 
 
 def write_config(run: Path, experiment: Experiment) -> None:
     """Write `config.toml` of a run folder."""
-    text = dumps_toml(experiment, "foveate: everything that defines this run.")
-    write_atomic(run / CONFIG, text.encode())
+    save_toml(experiment, run / CONFIG, "foveate: everything that defines this run.")

@@ -17,9 +17,11 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from foveate.files import file_error, read_text
+from foveate.files import check_format, file_error, read_text, write_atomic
 
 T = TypeVar("T")
+VERSION = 1
+"""Of the files that `save_toml` writes."""
 
 _WANTED = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text in quotes"}
 
@@ -47,12 +49,41 @@ class _At:
 
 def load_toml(cls: type[T], path: str | Path) -> T:
     """The dataclass `cls` that a TOML file describes. Raises ValueError of one line, naming file and key."""
+    return read_toml(cls, path)[0]
+
+
+def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
+    """The dataclass `cls` that a TOML file describes, and the digest of it as it was when it was written.
+
+    That stays what it is when `cls` gets further fields. Raises ValueError of one line, naming file and key: also where
+    `save_toml` wrote the file and it is no longer what was written.
+    """
     text = read_text(path, "configuration file (TOML)")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # besides TOMLDecodeError: numbers of thousands of digits
         raise file_error(path, f"is not TOML: {error}") from error
-    return from_table(cls, table, str(path))
+    if not table:
+        raise file_error(path, "is empty; give a configuration file with at least one key")
+    header = {name: table.pop(name) for name in ("format", "version", "digest") if name in table}
+    if header:
+        check_format(path, header, cls.__name__.lower(), VERSION)
+    instance, content = from_table(cls, table, str(path)), _digest(table)
+    if header.get("digest", content) != content:
+        hint = "if you changed it yourself, delete its line 'digest = ..'"
+        raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
+    return instance, content
+
+
+def save_toml(instance: Any, path: str | Path, header: str = "") -> None:
+    """Write TOML that says what it is, after `header` as a comment; it can be read by `load_toml` of later versions.
+
+    The digest comes first: whatever the file loses, it is there to tell.
+    """
+    seal = (f'digest = "{digest(instance)}"', f'format = "foveate-{type(instance).__name__.lower()}"')
+    comment = "\n".join([header, "After a change by hand delete the line that begins with: digest"]).strip()
+    lines = [*_comment(comment), *seal, f"version = {VERSION}", "", dumps_toml(instance)]
+    write_atomic(path, "\n".join(lines).encode())
 
 
 def from_table(cls: type[T], table: dict[str, Any], where: str) -> T:
@@ -80,13 +111,20 @@ def to_table(instance: Any) -> dict[str, Any]:
 
 def dumps_toml(instance: Any, header: str = "") -> str:
     """The TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
-    comments = [f"# {line}".rstrip() for line in header.splitlines()]
-    return "\n".join([*comments, *_toml_lines(to_table(instance), "")]) + "\n"
+    return "\n".join([*_comment(header), *_toml_lines(to_table(instance), "")]) + "\n"
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}".rstrip() for line in text.splitlines()]
 
 
 def digest(instance: Any) -> str:
     """Sixteen hex digits for the content of `instance`, the same in every process. Raises as `to_table`."""
-    canonical = json.dumps(to_table(instance), sort_keys=True, separators=(",", ":"))
+    return _digest(to_table(instance))
+
+
+def _digest(table: dict[str, Any]) -> str:
+    canonical = json.dumps(table, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()[:16]
 
 

@@ -1,6 +1,7 @@
 """Files written whole or not at all, and read with errors that say in one line what is wrong."""
 
 import errno
+import hashlib
 import json
 import math
 import os
@@ -113,6 +114,53 @@ def write_json(path: str | Path, obj: Any) -> None:
     except ValueError as error:
         raise file_error(path, f"cannot be written: {error}; use null where there is no number") from error
     write_atomic(path, text.encode() + b"\n")
+
+
+def content_digest(content: Any) -> str:
+    """The SHA-256, in hex, of what JSON can say; the same however it is written. Raises ValueError on NaN, infinity."""
+    text = json.dumps(content, allow_nan=False, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_document(path: str | Path, kind: str, version: int, content: dict[str, Any]) -> None:
+    """Write JSON that says what it is: "format", "version", and a "digest" by which a later change of it is noticed.
+
+    Raises ValueError on NaN and infinity.
+    """
+    document = {"format": f"foveate-{kind}", "version": version, **content}
+    try:
+        digest = content_digest(document)
+    except ValueError as error:
+        raise file_error(path, f"cannot be written: {error}; use null where there is no number") from error
+    write_json(path, {"format": document["format"], "version": version, "digest": digest, **content})
+
+
+def read_document(path: str | Path, kind: str, newest: int, what: str) -> dict[str, Any]:
+    """What is in a JSON file of format "foveate-`kind`" and version 1 to `newest`, without these and the digest.
+
+    Others may write such files without a digest; one that is there must fit. Raises ValueError in one line.
+    """
+    document = read_json(path, what)
+    if not isinstance(document, dict):
+        raise file_error(path, f"is not a {what}: wanted an object of the format 'foveate-{kind}'")
+    recorded = document.pop("digest", None)
+    check_format(path, document, kind, newest)
+    if recorded is not None and recorded != content_digest(document):
+        raise file_error(
+            path, "is damaged, or was changed by hand: it does not fit its digest (after a change by hand delete that)"
+        )
+    return {name: value for name, value in document.items() if name not in ("format", "version")}
+
+
+def check_format(path: str | Path, header: dict[str, Any], kind: str, newest: int) -> None:
+    """Raise ValueError unless a header says format "foveate-`kind`" and version 1 to `newest`."""
+    found, version = header.get("format"), header.get("version")
+    if found != f"foveate-{kind}":
+        raise file_error(path, f"has the format {found!r}; wanted 'foveate-{kind}'")
+    if type(version) is not int or version < 1:
+        raise file_error(path, f"has the version {version!r}; wanted a whole number from 1 to {newest}")
+    if version > newest:
+        raise file_error(path, f"has version {version}; this foveate reads 1 to {newest}, use a newer one")
 
 
 def read_bytes(path: str | Path, what: str) -> bytes:

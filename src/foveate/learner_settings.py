@@ -64,9 +64,12 @@ class TrainingSettings(LearningSettings):
     updates: ClassVar[int] = 1
     """Steps of Adam in an epoch."""
     epochs: int = 1000
+    """Steps of Adam."""
     episodes: int = 60
     learning_rate: float = 3e-4
+    """Of Adam."""
     schedule: Literal["constant", "cosine"] = "constant"
+    """Constant, or falling to 0 as a cosine."""
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
     check_every: int = 50
@@ -110,13 +113,21 @@ class PPOSettings(LearningSettings):
     batch: int = 64
     passes: int = 10
     learning_rate: float = 3e-4
+    """Of Adam."""
     schedule: Literal["constant", "linear"] = "constant"
+    """Constant, or falling to 0."""
     discount: float = 0.99
+    """Of rewards, a step."""
     gae_lambda: float = 0.95
+    """Of generalised advantage estimation."""
     clip: float = 0.2
+    """How far the ratio of probabilities may be from 1."""
     value_weight: float = 0.5
+    """Of the value network's loss."""
     entropy_weight: float = 0.0
+    """Of the actions' entropy."""
     gradient_bound: float = 0.5
+    """Of a gradient's norm."""
     log_std: float = 0.0
     reward_scale: float = 1.0
     critic_sees_time: bool = False
@@ -151,18 +162,27 @@ class ActorCriticSettings(JudgedSettings):
     protocols: tuple[Literal["surrogate", "true"], ...] = ("true",)
     select: Literal["surrogate", "true"] = "true"
     objective: Objective = "terminal"
+    """What is earned."""
     epochs: int = 500
+    """Rounds of playing and learning."""
     episodes: int = 256
     passes: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
+    """Of Adam, the policy's, at first."""
     critic_learning_rate: float = 1e-3
+    """Of Adam, the critic's, at first."""
     gradient_bound: float = 0.5
+    """Of a gradient's norm."""
     spread: tuple[float, float] = (0.4, 0.06)
     gae_lambda: float = 0.95
+    """Of generalised advantage estimation."""
     clip: float = 0.2
+    """How far the ratio of probabilities may be from 1."""
     entropy_weight: float = 0.003
+    """Of the modes' entropy."""
     check_every: int = 10
+    """Epochs from one judging on held-out scenes to the next."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

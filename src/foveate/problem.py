@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from foveate.models.agent import Agent
 from foveate.models.sensor import Sensor
@@ -128,6 +128,7 @@ class Trace(eqx.Module):
     """What happened in one episode; entries after `horizon` steps are padding.
 
     `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
+    `refusals` counts the measurements that a gate has refused in a row; None without a gate.
     """
 
     pose: Float[Array, "instants ..."]
@@ -137,6 +138,7 @@ class Trace(eqx.Module):
     log_det: Float[Array, "K n"]
     visible: Bool[Array, "K n"]
     present: Bool[Array, "instants n"]
+    refusals: Int[Array, "K n"] | None = None
 
 
 def first_information(problem: Problem, targets: int) -> Float[Array, "n n_y n_y"]:

@@ -56,7 +56,7 @@ class Bar:
 
     def say(self, line: str) -> None:
         """Print a line above the bar; on standard error, also where there is no terminal."""
-        self._progress.console.print(line, highlight=False)
+        self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def train_watched(

@@ -6,9 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import jax
-
-from foveate import __version__
 from foveate.animation import animate
 from foveate.closeness import floors
 from foveate.comparison import Comparison, as_json, compare
@@ -16,10 +13,11 @@ from foveate.configuration import digest
 from foveate.evaluation import Row, prepare
 from foveate.figures_comparison import curve_of, duel_figure, learning_curves, pareto_figure
 from foveate.figures_robustness import robustness_figure
-from foveate.files import write_atomic, write_json
+from foveate.files import write_atomic, write_document
 from foveate.film import Film, films
 from foveate.methods import Acting, Bench, can_train
 from foveate.pages import markdown
+from foveate.provenance import provenance
 from foveate.report import tables, worlds
 from foveate.reproduction import Results, Trained, trained_policy
 from foveate.robustness import as_json as worlds_as_json
@@ -28,6 +26,8 @@ from foveate.settings import PPO
 from foveate.study import Study, bench_of
 from foveate.units import RowsUnit
 
+VERSION = 1
+"""Of the files of comparisons."""
 TABLE, DATA = "table.md", "table.json"
 ROBUSTNESS = "robustness.png"
 EPISODES = "episodes"
@@ -45,7 +45,7 @@ def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     for error in study.initial_errors:
         parts = [part for part in results.parts if part.initial_error == error]
         comparisons.append(compare(parts, study.reference, lowest, problem.motion.state_size))
-    write_json(out / DATA, as_json(comparisons, _facts(study, trained)))
+    write_document(out / DATA, "comparison", VERSION, as_json(comparisons, _facts(study, trained)))
     figures = {"pareto.png": "Score against the time of a decision"}
     pareto_figure(comparisons[0].overall, out / "pareto.png")
     if trained:
@@ -75,7 +75,7 @@ def _robustness(study: Study, out: Path, results: Results) -> None:
     robustness_figure(study.factors, found, out / ROBUSTNESS, label)
     about = {"protocol": study.protocols[0], "initial_error": study.initial_errors[0]}
     facts = {**_facts(study, results.trained), **about}
-    write_json(out / "robustness.json", worlds_as_json(study.factors, results.points, facts))
+    write_document(out / "robustness.json", "robustness", VERSION, worlds_as_json(study.factors, results.points, facts))
 
 
 def _episodes(study: Study, bench: Bench, out: Path, comparison: Comparison) -> None:
@@ -113,7 +113,7 @@ def heading(study: Study) -> str:
 def _facts(study: Study, trained: Sequence[Trained]) -> dict[str, Any]:
     """What the data were made with."""
     return {
-        "foveate": __version__,
+        **provenance(),
         "suite": study.suite,
         "scenes": "table1",
         "quick": study.quick,
@@ -134,6 +134,7 @@ def _conditions(study: Study, trained: Sequence[Trained]) -> dict[str, str]:
     """The same for readers."""
     stopped = [f"{one.name}-{one.seed}: {one.outcome.stopped}" for one in trained if one.outcome.stopped]
     missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]
+    made = provenance()
     returns = [f"{one.name}-{one.seed} ({one.outcome.returns})" for one in trained if one.outcome.returns]
     return {
         "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
@@ -143,7 +144,7 @@ def _conditions(study: Study, trained: Sequence[Trained]) -> dict[str, str]:
         "collapsed trainings that went back to their best": ", ".join(returns) or "none",
         "trainings that stopped early": "; ".join(stopped) or "none",
         "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
-        "versions": f"foveate {__version__}, jax {jax.__version__}, {os.cpu_count()} cores",
+        "versions": f"foveate {made['foveate']}, jax {made['jax']}, {made['device']}, {os.cpu_count()} cores",
     }
 
 

@@ -6,6 +6,7 @@ positions are in the world frame [m], all times in seconds of the recording's ow
 """
 
 import csv
+import hashlib
 import heapq
 from array import array
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,8 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from foveate.files import read_text
 
 COLUMNS = ("time_s", "track_id", "x_m", "y_m", "z_m")
 MAX_LINE_BYTES = 4096
@@ -41,6 +44,8 @@ class Recording:
     name: str
     dimension: int
     tracks: tuple[Track, ...]
+    sha256: str = ""
+    """Of the file, in hex; empty for one that was made in memory."""
 
     @property
     def start_s(self) -> float:
@@ -102,7 +107,9 @@ def load_recording(path: str | PathLike[str]) -> Recording:
     """Read a recording, strictly.
 
     Track ids are text, numbers too ("7" and "07" differ; blanks around them do not count). Blank lines and a
-    byte-order mark are passed over. Memory grows only with the number of fixes, (d + 2) numbers for each.
+    byte-order mark are passed over. Memory grows only with the number of fixes, (d + 2) numbers for each. Where a file
+    of the same name with .sha256 behind it lies beside the recording (`sha256sum r.csv > r.csv.sha256` makes it), the
+    recording must be what that says: CSV itself does not show a changed digit.
 
     Raises:
         ValueError: one line with file, line number, the value, and what would be right.
@@ -110,13 +117,27 @@ def load_recording(path: str | PathLike[str]) -> Recording:
     path = Path(path)
     try:
         with path.open("rb") as file:
-            return _parse(path, file)
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest() if path.is_file() else ""
+            _check_sum(path, sha256)
+            if sha256:
+                file.seek(0)
+            return replace(_parse(path, file), sha256=sha256)
     except IsADirectoryError:
         raise ValueError(f"{path}: is a directory; give the path of a recording, a CSV file") from None
     except FileNotFoundError:
         raise ValueError(f"{path}: no such file; give the path of a recording, a CSV file") from None
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _check_sum(path: Path, sha256: str) -> None:
+    """Raise ValueError where a sum lies beside the recording, and is another."""
+    beside = path.with_name(f"{path.name}.sha256")
+    if not sha256 or not beside.is_file():
+        return
+    wanted = read_text(beside, "SHA-256 sum").split()[:1]
+    if wanted != [sha256]:
+        raise ValueError(f"{path}: is cut short, damaged or changed: {beside.name} says another SHA-256 sum")
 
 
 def _parse(path: Path, file: BinaryIO) -> Recording:

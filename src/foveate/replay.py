@@ -2,23 +2,32 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.configuration import digest
 from foveate.episodes import first_error
 from foveate.evaluation import decision_time
 from foveate.measures import chi_square_band, longest_run, splits
+from foveate.models.gate import GATE, gate_limit
 from foveate.motion_fit import fit_statistics, median_fix_interval_s
 from foveate.problem import Arrivals, Episode, Policy, Problem, Trace, Truth
+from foveate.provenance import provenance
 from foveate.recorded import Recording, Slots, resample_slots
-from foveate.rollout import TRUE, rollout
+from foveate.rollout import TRUE, Protocol, rollout
 from foveate.scenario import Scenario
+from foveate.settings import Experiment
 
 MAX_ROUNDING = 0.05
 """Positions must be resolved to this share of the sensor's standard deviation."""
+VERSION = 1
+"""Of the files of replays."""
+JUMP = 20.0
+"""A gap in the clock of the recording, in its median steps, that is worth a warning."""
 CONTRADICTION = 4.0
 """A process noise off by more than this factor in variance is worth a warning."""
 
@@ -32,7 +41,8 @@ class ReplayRow:
     were, null where there are none. `nees_band` holds at least 95 % of such means if the filter's covariance is right:
     the steps of a track, which hang together, count as one. `seen_fraction` is the share of tracks measured at least
     once, `seen_time_fraction` of all target-steps with a measurement; `longest_unseen_s` the longest time that any
-    track went without one; `lost` counts tracks unseen at their end with an error above the depth of the view.
+    track went without one; `lost` counts tracks unseen at their end with an error above the depth of the view;
+    `refused` measurements that the gate refused.
     """
 
     method: str
@@ -51,12 +61,15 @@ class ReplayRow:
     nees_seen: float | None
     nees_unseen: float | None
     lost: int
+    refused: int
     step_time_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
     """A recording made ready: what every method gets alike. `truth` (K+1, columns, n_y)."""
+
+    protocol: Protocol
 
     problem: Problem
     slots: Slots
@@ -68,9 +81,16 @@ class Replay:
 
 
 def prepare_replay(
-    scenario: Scenario, recording: Recording, agent_start: Sequence[float], max_gap_s: float = 2.0, seed: int = 0
+    scenario: Scenario,
+    recording: Recording,
+    agent_start: Sequence[float],
+    max_gap_s: float = 2.0,
+    seed: int = 0,
+    gate: float | None = GATE,
 ) -> Replay:
     """Sample the recording at the scenario's control period and draw the noise of its measurements from `seed`.
+
+    The filter refuses measurements outside of the chi-square `gate`, of that probability (see `models.gate`).
 
     Raises ValueError where the recording has another number of dimensions than the scenario.
     """
@@ -106,6 +126,7 @@ def prepare_replay(
     )
     start = tuple(float(x) for x in agent_start)
     return Replay(
+        protocol=TRUE._replace(gate=gate_limit(gate, len(problem.sensor.H))),
         problem=problem,
         slots=slots,
         episode=episode,
@@ -132,13 +153,13 @@ def _states(problem: Problem, slots: Slots) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _run(problem: Problem, policy: Policy, episode: Episode, key) -> Trace:
-    return rollout(problem, policy, episode, TRUE, key)
+def _run(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key) -> Trace:
+    return rollout(problem, policy, episode, protocol, key)
 
 
 def replay(ready: Replay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
     """Drive one method through the recording."""
-    trace = _run(ready.problem, policy, ready.episode, jax.random.key(ready.seed))
+    trace = _run(ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed))
     trace = jax.tree.map(np.asarray, trace)
     step_time = decision_time(ready.problem, policy, ready.episode)
     return _row(ready, method, trace, step_time), trace
@@ -181,6 +202,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         nees_band=chi_square_band(ready.truth.shape[-1], alike),
         **splits(square[counts], nees[counts], of_seen[counts]),
         lost=lost,
+        refused=0 if trace.refusals is None else int((np.diff(trace.refusals, axis=0, prepend=0) > 0).sum()),
         step_time_s=step_time,
     )
 
@@ -213,6 +235,14 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
         found.append(f"up to {most} targets at once: the run's scenario goes up to {trained}")
     if slots.dropped:
         found.append(f"{slots.dropped} tracks fall between the control instants and are left out")
+    times = np.unique(np.concatenate([track.times_s for track in recording.tracks]))
+    gaps = np.diff(times)
+    if len(gaps) and gaps.max() > max(max_gap_s, JUMP * np.median(gaps)):
+        first = int(np.argmax(gaps))
+        found.append(
+            f"nothing is recorded between {times[first]:.10g} s and {times[first + 1]:.10g} s: all targets leave and "
+            "appear anew; if the clock jumped, cut the recording there with --start or --end"
+        )
     interval = median_fix_interval_s(recording) if any(len(track.times_s) > 1 for track in recording.tracks) else 0.0
     if interval > max_gap_s:
         found.append(
@@ -234,6 +264,9 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
     return found
 
 
-def result(rows: Sequence[ReplayRow], facts: dict[str, object]) -> dict[str, object]:
-    """The replay as JSON."""
-    return {**facts, "rows": [asdict(row) for row in rows]}
+def result(
+    rows: Sequence[ReplayRow], experiment: Experiment, recording: Recording, facts: dict[str, Any]
+) -> dict[str, Any]:
+    """The replay as JSON, with what it was made with."""
+    made = {"experiment": digest(experiment), "recording_sha256": recording.sha256}
+    return {**provenance(), **made, **facts, "rows": [asdict(row) for row in rows]}

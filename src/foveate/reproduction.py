@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from foveate.checkpoint import BEST, LAST, load_run
 from foveate.comparison import Part
 from foveate.evaluation import Row
-from foveate.files import read_json, sole_writer, write_atomic, write_json
+from foveate.files import read_document, sole_writer, write_atomic, write_document
 from foveate.learning.judging import Check, Outcome
 from foveate.learning.learner import train
 from foveate.methods import Bench
@@ -25,6 +25,8 @@ from foveate.settings import Experiment, PPOSettings
 from foveate.study import Study, bench_of, key, units, worlds_of
 from foveate.units import RowsUnit, TrainingUnit, WorldsUnit
 
+VERSION = 1
+"""Of the files of units."""
 UNITS, TRAININGS = "units", "trainings"
 T = TypeVar("T")
 Say = Callable[[str], None]
@@ -99,11 +101,11 @@ def _kept(path: Path, wanted: str, say: Say, read: Callable[[Any], T]) -> T | No
     if not path.exists():
         return None
     try:
-        found = read_json(path, "file of a unit")
+        found = read_document(path, "unit", VERSION, "file of a unit")
     except ValueError as error:
         say(f"{error}: made anew")
         return None
-    if not isinstance(found, dict) or found.get("key") != wanted:
+    if found.get("key") != wanted:
         say(f"{path}: was made with other settings, or by another version: made anew")
         return None
     try:
@@ -129,7 +131,7 @@ def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, note: Say,
         outcome = _train(unit, run, path.with_suffix(".begun"), wanted, report, say)
         if not math.isfinite(outcome.best_score):
             raise ValueError(f"{run}: no check of this training was finite, so there is no policy: {outcome.stopped}")
-        write_json(path, {"key": wanted, "result": asdict(outcome)})
+        write_document(path, "unit", VERSION, {"key": wanted, "result": asdict(outcome)})
     return Trained(name=unit.training.name, seed=unit.seed, run=run, experiment=experiment, outcome=outcome)
 
 
@@ -170,7 +172,7 @@ def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, note
         policy = None if unit.training is None else trained_policy(out, unit.training)
         rows = unit.method.rows(bench, unit.protocol, policy, lambda done: note(f"{done} of {total} episodes"))
         _check(unit, bench, rows)
-        write_json(path, {"key": wanted, "result": [asdict(row) for row in rows]})
+        write_document(path, "unit", VERSION, {"key": wanted, "result": [asdict(row) for row in rows]})
     method = unit.method
     return Part(
         method=method.name,
@@ -194,7 +196,7 @@ def _points(
             note(f"{done} of {len(worlds)} worlds")
 
         found = points(worlds, unit.factor, unit.method, unit.seed, policy, unit.protocol, report)
-        write_json(path, {"key": wanted, "result": [asdict(point) for point in found]})
+        write_document(path, "unit", VERSION, {"key": wanted, "result": [asdict(point) for point in found]})
     return found
 
 

@@ -3,17 +3,17 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from foveate.closeness import ceiling_rows, floors, with_closeness
 from foveate.configuration import digest
 from foveate.evaluation import Row, Suite, evaluate, prepare
-from foveate.files import write_json
 from foveate.pages import Table, html, text
 from foveate.problem import Policy
 from foveate.progress import Bar
 from foveate.scenes import Scene
 from foveate.settings import Experiment
-from foveate.summary import Summary, result, summarise
+from foveate.summary import Summary, summarise, write_result
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -25,7 +25,7 @@ class Evaluation:
     """
 
     title: str
-    facts: dict[str, str]
+    facts: dict[str, Any]
     rows: tuple[Row, ...]
     summary: tuple[Summary, ...]
     scenes: tuple[Scene, ...]
@@ -37,7 +37,7 @@ class Evaluation:
 
     def to_json(self, path: str | Path) -> None:
         """Write rows and summary for programs, as `foveate evaluate --json`."""
-        write_json(path, result(self.rows, self.summary, self.facts))
+        write_result(path, self.rows, self.summary, self.facts)
 
     def __repr__(self) -> str:
         return text(self.table)
@@ -48,7 +48,7 @@ class Evaluation:
 
 def evaluate_all(
     title: str,
-    facts: dict[str, str],
+    facts: dict[str, Any],
     experiment: Experiment,
     policies: dict[str, Policy],
     scenes: Sequence[Scene],
@@ -75,7 +75,12 @@ def evaluate_all(
     if closeness:
         ceiling = summarise(_ceiling(suite, protocols, quiet), problem.motion.state_size)
         summary = with_closeness(summary, ceiling, floor)
-    facts = {**facts, "experiment": digest(experiment), "initial_error": experiment.scenario.scenes.initial_error}
+    facts = {
+        **facts,
+        "experiment": digest(experiment),
+        "initial_error": experiment.scenario.scenes.initial_error,
+        "seed": seed,
+    }
     return Evaluation(
         title=f"{title}: score per target [nat], {episodes} episode(s) a scene",
         facts=facts,

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from foveate.linalg import cholesky_spd, log_det_spd, multiply
-from foveate.models import belief
+from foveate.models import belief, gate
 from foveate.models.absence import given_unseen
 from foveate.models.belief import Belief
 from foveate.models.sensor import PAPER_SOFTNESS, Softness, detection_weight
@@ -27,11 +27,13 @@ class Protocol(NamedTuple):
     With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
     the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
     training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter; if the
-    sensor's `uses_absence` says so, it learns from looking in vain, too.
+    sensor's `uses_absence` says so, it learns from looking in vain, too. With a `gate` it refuses measurements whose
+    squared distance to their prediction is above that (see `models.gate`).
     """
 
     levels: tuple[Softness, ...]
     at_truth: bool = False
+    gate: float | None = None
 
 
 SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
@@ -55,13 +57,17 @@ WHOLE = Back()
 
 
 class State(eqx.Module):
-    """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one)."""
+    """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one).
+
+    `refusals` counts each target's measurements that were refused in a row; None without a gate.
+    """
 
     step: Count
     pose: Pose
     mean: Float[Array, "n n_y"]
     information: Float[Array, "levels n n_y n_y"]
     present: Bool[Array, " n"]
+    refusals: Int[Array, " n"] | None = None
 
 
 class Reality(eqx.Module):
@@ -109,6 +115,7 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
         mean=episode.mean,
         information=jnp.broadcast_to(information, (levels, *information.shape)),
         present=present,
+        refusals=None if protocol.gate is None else jnp.zeros(present.shape, int),
     )
 
 
@@ -122,6 +129,7 @@ def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) 
         mean=problem.motion.advance(state.mean, known_input),
         information=ahead(state.information, problem.motion),
         present=state.present,
+        refusals=state.refusals,
     )
 
 
@@ -150,21 +158,28 @@ def act(
     covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, point_body)
     gain = jax.vmap(sensor.information)(covariance)
 
-    mean = predicted.mean
-    visible = jnp.zeros(predicted.present.shape, bool)
+    mean, refusals = predicted.mean, predicted.refusals
+    inside = visible = jnp.zeros(predicted.present.shape, bool)
+    restarts, anew = None, None
     weighed_point_body = point_body
     if (reality := instant.reality) is not None:
         true_point_body = space.to_body(pose, motion.position(reality.state))
-        visible = sensor.view.contains(true_point_body) & predicted.present
+        inside = sensor.view.contains(true_point_body) & predicted.present
         weighed_point_body = true_point_body if protocol.at_truth else point_body
         if instant.arrival is not None:
-            visible = visible & instant.arrival.present
+            inside = inside & instant.arrival.present
         true_covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, true_point_body)
         noise = multiply(cholesky_spd(true_covariance), reality.noise[..., None])
         measurement = reality.state @ sensor.H.T + noise[..., 0]
         corrected = jax.vmap(lambda p, P, z, V: belief.correct_mean(Belief(p, P), z, sensor.H, V))(
             predicted.mean, predicted.information[-1], measurement, covariance
         )
+        visible = inside
+        if protocol.gate is not None:
+            assert refusals is not None, "`start` counts them where there is a gate"
+            visible, restarts, refusals, anew = _gated(
+                problem, protocol.gate, predicted, refusals, inside, measurement, covariance
+            )
         mean = jnp.where(visible[:, None], corrected, mean)
 
     if protocol.levels:
@@ -174,11 +189,14 @@ def act(
         weight = visible.astype(mean.dtype)[None]
     update = jax.vmap(jax.vmap(belief.update_information), (0, None, 0))
     information = update(predicted.information, gain, weight)
+    if restarts is not None and anew is not None:
+        mean = jnp.where(restarts[:, None], anew.mean, mean)
+        information = jnp.where(restarts[:, None, None], anew.information, information)
     if sensor.uses_absence and not protocol.levels and instant.reality is not None:
         is_inside = partial(_in_view, problem, pose)
         left = jax.vmap(lambda m, Y: given_unseen(Belief(m, Y), motion.Z, is_inside))(mean, information[0])
-        mean = jnp.where(visible[:, None], mean, left.mean)
-        information = jnp.where(visible[:, None, None], information, left.information)
+        mean = jnp.where(inside[:, None], mean, left.mean)
+        information = jnp.where(inside[:, None, None], information, left.information)
 
     present = predicted.present
     if (arrival := instant.arrival) is not None:
@@ -186,7 +204,30 @@ def act(
         mean = jnp.where(begins[:, None], arrival.mean, mean)
         information = jnp.where(begins[:, None, None], problem.prior_information, information)
         present = arrival.present
-    return State(predicted.step + 1, pose, mean, information, present), visible, weight
+        refusals = None if refusals is None else jnp.where(begins, 0, refusals)
+    return State(predicted.step + 1, pose, mean, information, present, refusals), visible, weight
+
+
+def _gated(
+    problem: Problem,
+    limit: float,
+    predicted: State,
+    refusals: Int[Array, " n"],
+    inside: Bool[Array, " n"],
+    measurement: Float[Array, "n n_z"],
+    covariance: Float[Array, "n n_z n_z"],
+) -> tuple[Bool[Array, " n"], Bool[Array, " n"], Int[Array, " n"], Belief]:
+    """Whose measurement is taken, whose belief begins anew with it, the refusals in a row, and these new beliefs."""
+    H, first = problem.sensor.H, problem.prior_information
+
+    def look(mean, information, z, V):
+        return gate.squared_distance(Belief(mean, information), z, H, V), gate.one_point(first, z, H, V)
+
+    distance, anew = jax.vmap(look)(predicted.mean, predicted.information[-1], measurement, covariance)
+    refused = inside & ~(distance <= limit)
+    restarts = refused & (refusals + 1 >= gate.RESTART_AFTER)
+    taken = (inside & ~refused) | restarts
+    return taken, restarts, jnp.where(taken, 0, refusals + refused), anew
 
 
 def _in_view(problem: Problem, pose: Pose, positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
@@ -237,10 +278,10 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
 
     def record(state, action, visible, weight):
         del weight
-        return state.pose, action, state.mean, state.information[-1], visible, state.present
+        return state.pose, action, state.mean, state.information[-1], visible, state.present, state.refusals
 
     first, kept = _scan(problem, policy, episode, protocol, key, record)
-    pose, action, mean, information, visible, present = kept
+    pose, action, mean, information, visible, present, refusals = kept
 
     def with_first(initial, later):
         return jnp.concatenate([initial[None], later])
@@ -253,6 +294,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         log_det=log_det_spd(information),
         visible=visible,
         present=with_first(first.present, present),
+        refusals=refusals,
     )
 
 

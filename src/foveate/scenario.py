@@ -35,7 +35,9 @@ class SensorSettings:
     H: Matrix | None = None
     frame: Literal["world", "body"] = "world"
     range_growth_per_m: float = 0.0
+    """0 where noise does not depend on the range."""
     absence: Literal["used"] | None = None
+    """What the filter makes of not seeing a target; see models/absence.py."""
 
     def __post_init__(self) -> None:
         positive(self, "std_m")
@@ -91,21 +93,26 @@ class SceneSettings:
     """
 
     targets_min: int = 3
+    """Fewest targets of a scene."""
     targets_max: int = 8
+    """Most targets of a scene in training; a policy takes any number."""
     centre_m: tuple[float, ...] = (0.0, 0.0)
     half_side_m: tuple[float, ...] = (0.0, 0.0)
     half_side_per_target_m: float = 2.0
     agent_spread: float = 1.25
     agent_test_half_side_m: float = 2.0
     drift_m_s: tuple[float, ...] = (0.8, 0.8)
+    """Largest drift on each axis."""
     shared_drift: bool = True
     known_drift: bool = True
     process_noise: bool = True
     turnover: bool = False
     jitter_m_s: float = 0.5
+    """Largest change of the drift at a step, on each axis."""
     steps_per_target: int = 3
     steps: int | None = None
     initial_error: Literal["paper", "consistent"] = "paper"
+    """How far first means are from the truth."""
 
     def __post_init__(self) -> None:
         require(self.targets_min >= 1, "targets_min", self.targets_min, "expected >= 1")

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from foveate.files import read_json, write_json
+from foveate.files import read_document, write_document
 from foveate.geometry.space import Space
 from foveate.scenario import SceneSettings
 
-FORMAT = "foveate-scenes"
 VERSION = 1
 MAX_HORIZON = 100_000
 MAX_LENGTH = 1e9
@@ -37,11 +36,12 @@ class Scene:
 
 def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
     """Write a scenes file."""
-    write_json(path, {"format": FORMAT, "version": VERSION, "scenes": [asdict(scene) for scene in scenes]})
+    write_document(path, "scenes", VERSION, {"scenes": [asdict(scene) for scene in scenes]})
 
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
     """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
+    # As they would stand in a file; whoever makes them may have put arrays into them.
     rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
     return _scenes(json.loads(rows), "scenes", space, settings)
 
@@ -51,14 +51,9 @@ def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene
 
     Raises ValueError in one line that names file, scene, field and what would be right.
     """
-    data = read_json(path, "scenes file")
-    known = {"format", "version", "scenes"}
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ValueError(f'{path}: not a scenes file: expected "format": "{FORMAT}"')
-    if data.get("version") != VERSION:
-        raise ValueError(f"{path}: version {data.get('version')!r}: this foveate reads version {VERSION}")
-    if unknown := sorted(set(data) - known):
-        raise ValueError(f"{path}: unknown key {unknown[0]!r}: expected {', '.join(sorted(known))}")
+    data = read_document(path, "scenes", VERSION, "scenes file")
+    if unknown := sorted(set(data) - {"scenes"}):
+        raise ValueError(f"{path}: unknown key {unknown[0]!r}: expected digest, format, scenes, version")
     return _scenes(data.get("scenes"), f"{path}: scenes", space, settings)
 
 

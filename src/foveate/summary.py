@@ -1,14 +1,21 @@
 """Rows of episodes in cells: one summary for each method, protocol, motion and number of targets."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from foveate.evaluation import Row
+from foveate.files import file_error, read_document, write_document
 from foveate.measures import chi_square_band
+from foveate.provenance import provenance
 from foveate.statistics import mean_interval
 
+VERSION = 1
+"""Of the files of evaluations."""
 Band = tuple[float, float]
 
 
@@ -111,6 +118,22 @@ def _group_nees(rows: Sequence[Row], group: str, share: float, state_size: int) 
     return mean, chi_square_band(state_size, share * float(counts.sum()))
 
 
-def result(rows: Sequence[Row], summary: Sequence[Summary], facts: dict[str, str]) -> dict[str, object]:
-    """The evaluation as JSON: rows, summary, and what they were made with."""
-    return {**facts, "rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
+def write_result(
+    path: str | Path, rows: Sequence[Row], summary: Sequence[Summary], facts: Mapping[str, Any] = MappingProxyType({})
+) -> None:
+    """Write an evaluation for programs: rows, summary, and what they were made with."""
+    found = {"rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
+    write_document(path, "evaluation", VERSION, {**provenance(), **facts, **found})
+
+
+def read_result(path: str | Path) -> tuple[list[Row], dict[str, Any]]:
+    """The rows of an evaluation that was written, and what they were made with.
+
+    Raises ValueError in one line for a file that is missing, cut, damaged, newer, or something else.
+    """
+    found = read_document(path, "evaluation", VERSION, "result of foveate evaluate")
+    try:
+        rows = [Row(**row) for row in found.pop("rows")]
+    except (KeyError, TypeError) as error:
+        raise file_error(path, f"rows: are not those of an evaluation ({error})") from error
+    return rows, {name: value for name, value in found.items() if name != "summary"}

@@ -72,6 +72,7 @@ class StaticTarget:
 
     kind: Literal["static"]
     initial_variance_m2: float = 2.0
+    """Of a position in the first belief, on each axis."""
 
     def __post_init__(self) -> None:
         positive(self, "initial_variance_m2")
@@ -95,6 +96,7 @@ class DriftTarget:
     process_std_m: float = 0.05
     W: Matrix | None = None
     initial_variance_m2: float = 2.0
+    """Of a position in the first belief, on each axis."""
 
     def __post_init__(self) -> None:
         not_negative(self, "process_std_m")
@@ -129,7 +131,9 @@ class VelocityTarget:
     Q: Matrix | None = None
     memory_s: float | None = None
     initial_variance_m2: float = 2.0
+    """Of a position in the first belief, on each axis."""
     initial_velocity_variance_m2_s2: float = 1.0
+    """Of a velocity, likewise."""
 
     def __post_init__(self) -> None:
         not_negative(self, "acceleration_m2_s3")
@@ -167,8 +171,11 @@ class AccelerationTarget:
     jerk_m2_s5: float = 0.1
     Q: Matrix | None = None
     initial_variance_m2: float = 2.0
+    """Of a position in the first belief, on each axis."""
     initial_velocity_variance_m2_s2: float = 1.0
+    """Of a velocity, likewise."""
     initial_acceleration_variance_m2_s4: float = 0.25
+    """Of an acceleration, likewise."""
 
     def __post_init__(self) -> None:
         not_negative(self, "jerk_m2_s5")
@@ -205,9 +212,13 @@ class LinearTarget:
 
     kind: Literal["linear"]
     A: Matrix
+    """n_y x n_y."""
     B: Matrix
+    """n_y x m_y."""
     W: Matrix
+    """n_y x n_y, semidefinite."""
     Z: Matrix
+    """d x n_y, of rank d."""
     prior: Matrix
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ In numpy and float64: what changes from step to step is how many targets there a
 """
 
 from collections import Counter
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from foveate.beliefs import Belief, observation
 from foveate.geometry.fov import FieldOfView
 from foveate.models import belief
 from foveate.models.absence import given_unseen
+from foveate.models.gate import GATE, RESTART_AFTER, gate_limit
 from foveate.poses import positions, rotation
 from foveate.problem import Observation, Problem
 from foveate.scenario import Scenario
@@ -26,7 +26,10 @@ from foveate.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What an update made of the detections, by id: `refused` are those that the gate kept out."""
+    """What an update made of the detections, by id: `refused` are those that the gate kept out.
+
+    `appeared` are new ones, and those that have jumped and begin anew.
+    """
 
     updated: tuple[Hashable, ...]
     appeared: tuple[Hashable, ...]
@@ -43,24 +46,22 @@ class Tracker:
     A detection is refused where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
     chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 refuses one honest detection in
     ten thousand. One that is not finite is refused too. `refused` counts them by id. A target that has really jumped is
-    refused until it is dropped, and then begins anew. `gate` None takes whatever comes. Where the scenario says
+    refused five times in a row, and then begins anew. `gate` None takes whatever comes. Where the scenario says
     `sensor.absence = "used"`, a target without a detection is believed to be outside of the view from there on.
     """
 
-    def __init__(
-        self, problem: Problem | Scenario, *, forget_after_s: float = 10.0, gate: float | None = 0.9999
-    ) -> None:
+    def __init__(self, problem: Problem | Scenario, *, forget_after_s: float = 10.0, gate: float | None = GATE) -> None:
         if not forget_after_s > 0:
             raise ValueError(f"forget_after_s = {forget_after_s}: expected > 0")
-        if gate is not None and not 0 < gate < 1:
-            raise ValueError(f"gate = {gate}: expected a probability between 0 and 1, or None")
         problem = problem.problem() if isinstance(problem, Scenario) else problem
         self._problem, period, sensor = problem, problem.period, problem.sensor
         self._tau, self._V = _array(period.tau), _array(period.V)
         self._A, self._B, self._W = (_array(x) for x in (period.motion.A, period.motion.B, period.motion.W))
         self._H, self._Z, self._sensor = _array(sensor.H), _array(problem.motion.Z), sensor
         self._first = np.linalg.inv(_array(problem.prior_information))
-        self._limit = np.inf if gate is None else float(chi2.ppf(gate, len(self._H)))
+        limit = gate_limit(gate, len(self._H))
+        self._limit = np.inf if limit is None else limit
+        self._in_a_row: Counter[Hashable] = Counter()
         self._forget_after_s = forget_after_s
         self.step = 0
         self.ids: tuple[Hashable, ...] = ()
@@ -119,9 +120,15 @@ class Tracker:
             np.array([z_of[target] for target in known]).reshape(-1, len(self._H)),
         )
         updated = tuple(target for target, good in zip(known, taken, strict=True) if good)
-        appeared = tuple(target for target in finite if target not in place)
-        for target in appeared:
+        jumped = self._jumped(known, taken)
+        for target in jumped:
+            i = place[target]
+            self.mean[i], self.covariance[i] = self._one_point(pose, z_of[target])
+            self.unseen_s[i] = 0.0
+        new = tuple(target for target in finite if target not in place)
+        for target in new:
             self._begin(target, *self._one_point(pose, z_of[target]))
+        appeared = (*jumped, *new)
         taken_in = {*updated, *appeared}
         refused = tuple(target for target in z_of if target not in taken_in)
         self.refused.update(refused)
@@ -171,10 +178,24 @@ class Tracker:
         self.unseen_s = np.append(self.unseen_s, 0.0)
         self._known_input = np.concatenate([self._known_input, np.zeros((1, self._known_input.shape[1]))])
 
+    def _jumped(self, known: Sequence[Hashable], taken: np.ndarray) -> tuple[Hashable, ...]:
+        """Count refusals in a row; gives whom there have been enough of."""
+        for target, good in zip(known, taken, strict=True):
+            if good:
+                self._in_a_row.pop(target, None)
+            else:
+                self._in_a_row[target] += 1
+        jumped = tuple(target for target in known if self._in_a_row[target] >= RESTART_AFTER)
+        for target in jumped:
+            del self._in_a_row[target]
+        return jumped
+
     def _keep(self, which: np.ndarray) -> tuple[Hashable, ...]:
         dropped = tuple(target for target, kept in zip(self.ids, which, strict=True) if not kept)
         self.ids = tuple(target for target, kept in zip(self.ids, which, strict=True) if kept)
         self.mean, self.covariance, self.unseen_s = self.mean[which], self.covariance[which], self.unseen_s[which]
+        for target in dropped:
+            self._in_a_row.pop(target, None)
         return dropped
 
     def _noise(self, pose: np.ndarray, points_world: np.ndarray) -> Float[np.ndarray, "k n_z n_z"]:

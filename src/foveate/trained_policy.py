@@ -71,7 +71,7 @@ class TrainedPolicy:
 
         `belief` is predicted to the end of the coming step, where the command will have brought the robot: as
         `predict` gives it, or a tracker after its own `predict`. `pose` is where the robot is now: [x, y, yaw], or in
-        space the 4 x 4 matrix from body to world, or [x, y, z, qw, qx, qy, qz] [m, rad]. `steps_left` until the end,
+        space the 4 x 4 matrix from body to world, or [x, y, z, qw, qx, qy, qz] (m, rad). `steps_left` until the end,
         this one too; by default as in the middle of a training episode. Any number of targets, none included. Raises
         ValueError for a pose or belief of another kind of world.
         """

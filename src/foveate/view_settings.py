@@ -24,7 +24,9 @@ class TriangleView:
 
     shape: Literal["triangle"] = "triangle"
     depth_m: float = 2.0
+    """From the agent to the far side, along the axis."""
     angle_deg: float = 120.0
+    """Full angle at the agent, below 180."""
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
@@ -42,7 +44,9 @@ class SectorView:
 
     shape: Literal["sector"] = "sector"
     depth_m: float = 10.0
+    """Radius."""
     angle_deg: float = 90.0
+    """Full angle, up to 360."""
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
@@ -60,6 +64,7 @@ class PolygonView:
 
     shape: Literal["polygon"]
     vertices_m: tuple[tuple[float, float], ...]
+    """Corners [x, y] of a convex polygon, in order."""
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
@@ -81,7 +86,9 @@ class BallView:
 
     shape: Literal["ball"]
     radius_m: float
+    """Range of the sensor."""
     center_m: tuple[float, ...]
+    """Its centre in the body frame."""
 
     def __post_init__(self) -> None:
         positive(self, "radius_m")
@@ -108,9 +115,13 @@ class FrustumView:
 
     shape: Literal["frustum"]
     near_m: float = 0.3
+    """Nearest plane."""
     depth_m: float = 6.0
+    """Farthest plane."""
     width_deg: float = 90.0
+    """Full angle across."""
     height_deg: float = 60.0
+    """Full angle up and down."""
     dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
@@ -131,8 +142,11 @@ class ConeView:
 
     shape: Literal["cone"]
     near_m: float = 0.0
+    """Nearest slant range."""
     depth_m: float = 6.0
+    """Farthest slant range."""
     angle_deg: float = 60.0
+    """Full angle, up to 360."""
     dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:

@@ -53,7 +53,7 @@ def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFi
     printed = capsys.readouterr().out
     assert "QUICK LOOK" in printed
     assert "near-uncertain" in printed
-    files = {path.name for path in out.iterdir() if path.is_file()}
+    files = {path.name for path in out.iterdir() if path.is_file() and path.suffix}
     pictures = {"learning.png", "pareto.png", "trajectories-surrogate.png", "trajectories-true.png"}
     assert files == {"table.md", "table.json", *pictures}
     for name in pictures:

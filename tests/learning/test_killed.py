@@ -1,50 +1,38 @@
 """Killed at random moments, also within a write, a training goes on to the very same files as one left alone.
 
 Death is played by a disk that stops: the operation under way is done by half, all later ones not at all, not even
-cleaning up. `make kill` does it with SIGKILL and whole processes; `test_signals.py` does it to one.
+cleaning up. One process is really killed, and `make kill` kills many.
 """
 
 import builtins
 import functools
 import json
 import os
-from dataclasses import replace
+import resource
+import signal
+import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 
 import foveate.checkpoint as checkpoint
 import foveate.files as files
 from foveate.checkpoint import BEST, CONFIG, LAST, load_run
-from foveate.learner_settings import ActorCriticSettings
+from foveate.cli.main import main
+from foveate.configuration import dumps_toml
 from foveate.learning import training
-from foveate.learning.judging import METRICS
+from foveate.learning.judging import METRICS, require_free
 from foveate.learning.learner import train
-from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import Experiment, TrainingSettings
+
+sys.path.append(str(Path(__file__).parents[1] / "endurance"))
+from kill import MODEL, TRYING, await_checks, checks, start
 
 KILLS = 20
 KINDS = ("write .jsonl", "write .tmp", "fsync", "replace")
 """What is done to the disk. The first deaths are one of each kind, the others as it comes."""
-MODEL = Experiment(
-    scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))),
-    policy=AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,)),
-    training=TrainingSettings(epochs=40, episodes=8, learning_rate=1e-2, held_out=16, check_every=2),
-)
-TRYING = replace(
-    MODEL,
-    policy=PointerSettings(
-        kind="pointer", target_widths=(8, 8), heads=2, context_widths=(8,), mode_widths=(8,), modes=1
-    ),
-    training=ActorCriticSettings(
-        algorithm="actor-critic", epochs=40, episodes=8, minibatches=2, held_out=16, check_every=2
-    ),
-)
 
 
 class Killed(BaseException):
@@ -111,19 +99,27 @@ def mortal(monkeypatch):
     return disk
 
 
-@pytest.fixture
-def one_program(monkeypatch):
-    """A training that goes on would trace its programs anew: 20 times are too many."""
-    programs, episodes, jit, held_out = {}, [], training.eqx.filter_jit, training.held_out_episodes
-    monkeypatch.setattr(training.eqx, "filter_jit", lambda f: programs.setdefault(f.__qualname__, jit(f)))
+@pytest.fixture(autouse=True, scope="module")
+def traced_once():
+    """Each call of a trainer traces its programs anew, and with every annotation checked a digest takes long."""
+    known, now = {}, []
+    begin, jit, held_out = training._begin, training.eqx.filter_jit, training.held_out_episodes
 
-    def once(*arguments):
-        if not episodes:
-            episodes.append(held_out(*arguments))
-        return episodes[0]
+    def begin_noted(problem, policy, settings, key):
+        now[:] = [type(settings).__name__]
+        return begin(problem, policy, settings, key)
 
-    monkeypatch.setattr(training, "held_out_episodes", once)
-    monkeypatch.setattr(checkpoint, "digest", functools.cache(checkpoint.digest))
+    def episodes(*arguments):
+        if now[0] not in known:
+            known[now[0]] = held_out(*arguments)
+        return known[now[0]]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "_begin", begin_noted)
+        patch.setattr(training.eqx, "filter_jit", lambda f: known.setdefault((now[0], f.__qualname__), jit(f)))
+        patch.setattr(training, "held_out_episodes", episodes)
+        patch.setattr(checkpoint, "digest", functools.cache(checkpoint.digest))
+        yield
 
 
 def arrays(path):
@@ -137,13 +133,14 @@ def told(run):
 
 
 @pytest.mark.parametrize("experiment", [MODEL, TRYING], ids=["policy-gradient", "actor-critic"])
-def test_killed_at_random_moments_it_ends_the_same(experiment, one_program, tmp_path, monkeypatch):
+def test_killed_at_random_moments_it_ends_the_same(experiment, tmp_path, monkeypatch):
     undisturbed = train(experiment, tmp_path / "a", seed=3)
     disk = mortal(monkeypatch)
     out, outcome = tmp_path / "b", None
     while outcome is None:
         if (killed := len(disk.moments)) < KILLS:
-            disk.live(int(disk.rng.integers(1, 14)), KINDS[killed] if killed < len(KINDS) else None)
+            kind = KINDS[killed] if killed < len(KINDS) else None
+            disk.live(int(disk.rng.integers(1, 3 if kind else 14)), kind)
         else:
             disk.live(np.inf)
         before = {path: arrays(out / path) for path in (BEST, LAST) if (out / path).exists()}
@@ -155,10 +152,126 @@ def test_killed_at_random_moments_it_ends_the_same(experiment, one_program, tmp_
     assert len(disk.moments) == KILLS
     assert {*disk.moments} == set(KINDS)
     assert outcome == undisturbed
-    assert (out / BEST).read_bytes() == (tmp_path / "a" / BEST).read_bytes()
-    assert arrays(out / LAST) == arrays(tmp_path / "a" / LAST)
-    assert (out / CONFIG).read_bytes() == (tmp_path / "a" / CONFIG).read_bytes()
-    assert told(out) == told(tmp_path / "a")
-    assert not list(out.rglob("*.tmp")), "and nothing lies about"
     assert load_run(out)[0] == experiment
-    assert jax.tree.all(jax.tree.map(lambda x: np.isfinite(x).all(), load_run(out)[1]))
+    same_runs(out, tmp_path / "a")
+
+
+def same_runs(one, other):
+    for path in (CONFIG, BEST):
+        assert (one / path).read_bytes() == (other / path).read_bytes()
+    assert arrays(one / LAST) == arrays(other / LAST)
+    assert told(one) == told(other)
+    assert not list(one.rglob("*.tmp")), "nothing lies about"
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """A training left alone, for all that are disturbed in another way."""
+    run = tmp_path_factory.mktemp("alone") / "run"
+    train(MODEL, run, seed=3)
+    return run
+
+
+def test_a_process_that_is_really_killed(alone, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    config, run = tmp_path / "experiment.toml", tmp_path / "killed"
+    config.write_text(dumps_toml(MODEL))
+    process = start(tmp_path, "--config", config, "--seed", 3, "--out", run)
+    await_checks(process, run, 3)
+    with pytest.raises(ValueError, match="another process is writing into it"):
+        train(MODEL, run, seed=3, resume=True)
+    time.sleep(np.random.default_rng().uniform(0, 0.03))
+    process.send_signal(signal.SIGKILL)
+    said = process.communicate()
+    assert process.returncode == -signal.SIGKILL, said
+    assert 3 <= checks(run) < 20
+    train(MODEL, run, seed=3, resume=True)
+    same_runs(run, alone)
+
+
+def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, capsys):
+    run, config, kept = tmp_path / "run", tmp_path / "experiment.toml", training._keep
+    config.write_text(dumps_toml(MODEL))
+
+    def interrupted(*arguments):
+        if checks(run) == 4:
+            signal.raise_signal(signal.SIGINT)  # before anything of the fifth check is written
+        kept(*arguments)
+
+    monkeypatch.setattr(training, "_keep", interrupted)
+    assert main(["train", "--config", str(config), "--seed", "3", "--out", str(run)]) == 130
+    said = capsys.readouterr().err
+    assert "when the check that is under way is saved" in said
+    assert f"foveate train --resume {run}\n" in said
+    assert checks(run) == 5
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert main(["train", "--resume", str(run)]) == 0
+    same_runs(run, alone)
+
+
+def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
+    run, config = tmp_path / "run", tmp_path / "experiment.toml"
+    config.write_text(dumps_toml(MODEL))
+    monkeypatch.setattr(training, "_keep", lambda *arguments: [signal.raise_signal(signal.SIGINT) for _ in range(2)])
+    assert main(["train", "--config", str(config), "--out", str(run)]) == 130
+    assert f"foveate train --resume {run}\n" in capsys.readouterr().err
+    assert checks(run) == 0
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, capsys):
+    """For real: no file may grow beyond what fits the first checks."""
+    run, config, kept = tmp_path / "run", tmp_path / "experiment.toml", training._keep
+    config.write_text(dumps_toml(MODEL))
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = []
+
+    def full(*arguments):
+        if checks(run) == 3:
+            before.extend([(run / path).read_bytes() for path in (BEST, LAST)])
+            resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limit[1]))
+        kept(*arguments)
+
+    monkeypatch.setattr(training, "_keep", full)
+    try:
+        assert main(["train", "--config", str(config), "--seed", "3", "--out", str(run)]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    said = capsys.readouterr().err
+    assert "File too large" in said
+    assert str(run) in said
+    assert f"foveate train --resume {run}\n" in said
+    assert "Traceback" not in said
+    assert before == [(run / path).read_bytes() for path in (BEST, LAST)]
+    assert not list(run.rglob("*.tmp"))
+
+
+@pytest.fixture
+def no_root():
+    """Whoever may write anywhere is nobody for a while."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def test_a_folder_that_cannot_be_written_to(capsys, no_root):
+    assert main(["train", "--epochs", "1", "--out", "/foveate-run"]) == 2
+    assert capsys.readouterr().err == "foveate: /foveate-run: Permission denied\n"
+
+
+def test_a_beginning_that_was_killed_is_begun_again(tmp_path):
+    run = tmp_path / "run"
+    (run / "checkpoint").mkdir(parents=True)
+    (run / METRICS).write_bytes(b"")
+    (run / "checkpoint" / ".0123456789abcdef.tmp").write_bytes(b"half")
+    require_free(run, MODEL)
+    with pytest.raises(ValueError, match=rf"{run}: holds no training to go on with: begin one, with --out {run}"):
+        training.stored_run(run)
+    (run / "thesis.tex").write_text("mine")
+    with pytest.raises(ValueError, match="exists already"):
+        train(MODEL, run)
+    assert sorted(path.name for path in run.iterdir()) == ["checkpoint", METRICS, "thesis.tex"]

@@ -299,6 +299,6 @@ def test_an_existing_folder_is_refused_and_untouched(tmp_path):
 
 
 def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):
-    with pytest.raises(ValueError, match=r"last\.npz"):
+    with pytest.raises(ValueError, match=r"config\.toml"):
         train(TINY, tmp_path / "none", resume=True)
     assert not (tmp_path / "none").exists()

@@ -45,8 +45,7 @@ class Fit:
     def run_command(self) -> int:
         """Fit, say what was found, write the experiment."""
         from foveate.cli.common import check_output
-        from foveate.configuration import dumps_toml
-        from foveate.files import write_atomic
+        from foveate.configuration import save_toml
         from foveate.fit import Robot, fit_experiment
         from foveate.motion_fit import fit_statistics
         from foveate.recorded import load_recording, window
@@ -69,6 +68,6 @@ class Fit:
         said = found.lines()
         print("\n".join(said))
         header = "\n".join([f"Fitted to {self.recording.name} by foveate fit.", *said])
-        write_atomic(self.out, dumps_toml(experiment, header).encode())
+        save_toml(experiment, self.out, header)
         print(f"{self.out}: written; next  foveate train --config {self.out}")
         return 0

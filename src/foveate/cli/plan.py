@@ -66,11 +66,10 @@ class Plan:
         """Plan, print the summary, write the file."""
         from foveate.cli.common import check_output, check_seed, print_table
         from foveate.configuration import digest
-        from foveate.files import write_json
         from foveate.progress import Bar
         from foveate.results import summary_table
         from foveate.runs import scenes_of
-        from foveate.summary import result, summarise
+        from foveate.summary import summarise, write_result
 
         check_output(self.json, *([self.scenes] if self.scenes else []))
         check_seed(self.seed)
@@ -89,8 +88,9 @@ class Plan:
         table = summary_table(title, summary)
         print_table(table.title, table.header, table.rows)
         if self.json is not None:
-            facts = {"scenes": chosen, "experiment": digest(experiment)}
-            write_json(self.json, result(rows, summary, facts))
+            write_result(
+                self.json, rows, summary, {"scenes": chosen, "experiment": digest(experiment), "seed": self.seed}
+            )
         return 0
 
     def _check_options(self) -> None:

@@ -6,6 +6,9 @@ from typing import Annotated
 
 import tyro
 
+GATE = 0.9999
+"""Of `models.gate`, repeated here to keep help fast."""
+
 
 @dataclass(kw_only=True)
 class Replay:
@@ -31,6 +34,9 @@ class Replay:
     """Number of starts; with more than one they are drawn, alike for all methods, and means are printed."""
     max_gap: float = 2.0
     """Longest gap between two fixes over which a target counts as present [s]."""
+    gate: float | None = GATE
+    """The filter refuses measurements that are farther from their prediction than this share of honest ones; None: it
+    takes whatever comes. After five refusals in a row the target has really jumped, and its belief begins anew."""
     seed: int = 0
     """Seed of the noise and of drawn starts."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -46,10 +52,10 @@ class Replay:
         import numpy as np
 
         from foveate.cli.common import check_methods, check_output, check_seed
-        from foveate.files import write_json
+        from foveate.files import write_document
         from foveate.progress import Bar
         from foveate.recorded import load_recording, window
-        from foveate.replay import prepare_replay, replay, result, warnings_for
+        from foveate.replay import VERSION, prepare_replay, replay, result, warnings_for
         from foveate.runs import experiment_of, policy_of
 
         methods = check_methods(self.method)
@@ -64,7 +70,7 @@ class Replay:
         rows, films = [], {}
         with Bar("replaying", len(starts) * len(methods), "runs") as bar:
             for start in starts:
-                ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed)
+                ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed, self.gate)
                 if not rows:
                     for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
                         print(f"warning: {line}", file=sys.stderr)
@@ -75,12 +81,13 @@ class Replay:
                         films[name] = (ready, trace)
                     bar.update(len(rows), name)
         self._print(rows, methods)
-        document = result(rows, {"run": self.run, "recording": self.recording.name, "seed": self.seed})
+        facts = {"run": self.run, "recording": self.recording.name, "seed": self.seed}
+        document = result(rows, experiment, recording, facts)
         if self.json is not None:
-            write_json(self.json, document)
+            write_document(self.json, "replay", VERSION, document)
         if self.out is not None:
             self.out.mkdir(exist_ok=True)
-            write_json(self.out / "replay.json", document)
+            write_document(self.out / "replay.json", "replay", VERSION, document)
             self._draw(films)
         return 0
 
@@ -117,6 +124,7 @@ class Replay:
             "nees_seen",
             "nees_unseen",
             "lost",
+            "refused",
         )
         lines = []
         for method in methods:
@@ -137,6 +145,7 @@ class Replay:
             "of the seen",
             "of the never seen",
             "lost",
+            "refused",
         )
         print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)
 

@@ -74,7 +74,7 @@ class Reproduce:
                 bar.say(f"interrupted: what is done is kept in {out}; the same command goes on from there")
                 raise
         _print(study, comparisons)
-        print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
+        print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file() and path.suffix))}")
         return 0
 
     def _study(self) -> "Study":

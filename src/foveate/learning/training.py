@@ -12,8 +12,8 @@ import optax
 
 from foveate.arrays import load_arrays
 from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_tree, save_tree, write_config
-from foveate.configuration import load_toml
-from foveate.files import write_atomic
+from foveate.configuration import load_toml, read_toml
+from foveate.files import read_text, write_atomic
 from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
 from foveate.learning import actor_critic, policy_gradient
 from foveate.learning.devices import agreed, on_all
@@ -192,21 +192,26 @@ def stored_run(run: Path) -> tuple[Experiment, int]:
 
 
 def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tuple[Progress, float]:
-    progress, facts = load_tree(out / LAST, like, "training", experiment)
+    stored, content = read_toml(Experiment, out / CONFIG)
+    if stored != experiment:
+        raise ValueError(f"{out}: was begun with another experiment: expected that of its {CONFIG}")
+    progress, facts = load_tree(out / LAST, like, "training", content)
     if facts["seed"] != seed:
         raise ValueError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
-    lines = [
-        line for line in (out / METRICS).read_text().splitlines() if _epoch_of(line) <= int(progress.learner.epoch)
-    ]
-    write_atomic(out / METRICS, "".join(f"{line}\n" for line in lines).encode())
+    lines = read_text(out / METRICS, "metrics of a run").splitlines()
+    epochs = [_epoch_of(out, lines, i) for i in range(len(lines))]
+    kept = [line for line, epoch in zip(lines, epochs, strict=True) if epoch <= int(progress.learner.epoch)]
+    write_atomic(out / METRICS, "".join(f"{line}\n" for line in kept).encode())
     return progress, float(facts["elapsed_s"])
 
 
-def _epoch_of(line: str) -> int | float:
-    """The epoch of a line of metrics; a line that was cut while it was written counts as too late."""
+def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
+    """The epoch of a line of metrics; a last line that was cut while it was written counts as too late."""
     try:
-        return json.loads(line)["epoch"]
-    except ValueError:
+        return int(json.loads(lines[i])["epoch"])
+    except (ValueError, KeyError, TypeError) as error:
+        if i < len(lines) - 1:
+            raise ValueError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to go on without it") from error
         return float("inf")
 
 

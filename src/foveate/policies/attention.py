@@ -24,10 +24,15 @@ class AttentionSettings:
 
     kind: Literal["attention"] = "attention"
     frame: Frame = "body"
+    """Whose frame its inputs are in."""
     agent_widths: tuple[int, ...] = (32, 32)
+    """Layers on the pose."""
     target_widths: tuple[int, ...] = (64, 32)
+    """Layers on each target; the last as wide as that of `agent_widths`."""
     out_widths: tuple[int, ...] = (64,)
+    """Layers before the command."""
     alpha: float = 4.0
+    """What the scores of the attention are divided by."""
     length_m: float = 1.0
     information: Scale = "plain"
 

@@ -33,9 +33,12 @@ class PointerSettings:
 
     kind: Literal["pointer"]
     target_widths: tuple[int, ...] = (64, 64, 64)
+    """Layers on each target."""
     heads: int = 4
     context_widths: tuple[int, ...] = (64, 64)
+    """Layers on what was gathered."""
     mode_widths: tuple[int, ...] = (64,)
+    """Layers before the modes."""
     modes: int = 2
     length_m: float = 5.0
 

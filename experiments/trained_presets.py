@@ -1,0 +1,83 @@
+"""The trained policies that the package brings: every preset, trained with seed 0 into src/foveate/trained/.
+
+    python experiments/trained_presets.py [PRESET ..]
+
+Minutes for each preset; where one is there already it is replaced. What is kept is what deciding needs, configuration
+and weights, and record.json: with which seed and versions it was made, how long that took, and, so that a test can see
+whether it still does so, what it scores on a few scenes in float64.
+"""
+
+import shutil
+import sys
+import tempfile
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+import foveate
+from foveate.api import load, train
+from foveate.episodes import SUITE_SCENES_PER_CELL, own_suite
+from foveate.evaluation import Suite, prepare, rows_of, simulate
+from foveate.files import write_json
+from foveate.problem import Trace
+from foveate.rollout import PROTOCOLS
+from foveate.runs import TRAINED
+from foveate.settings import PRESETS
+
+SEED = 0
+SCORED = 2
+"""Scenes of each cell of a suite."""
+
+
+def played(preset: str) -> tuple[Suite, Trace]:
+    """A few scenes of the preset's own, and what its trained policy does in them, with a real filter."""
+    policy = load(preset)
+    known = own_suite(policy.scenario.scenes, policy.problem)
+    chosen = [scene for i, scene in enumerate(known) if i % SUITE_SCENES_PER_CELL < SCORED]
+    suite = prepare(policy.problem, policy.scenario.scenes, chosen)
+    return suite, simulate(suite, policy.network, PROTOCOLS["true"], chunk=len(chosen))
+
+
+def scores(suite: Suite, trace: Trace) -> dict[str, float]:
+    """The true score [nat per target] in each scene, by its id."""
+    rows = rows_of(suite, "policy", "true", trace, [0.0] * len(suite.scenes))
+    return {row.scene: round(row.score, 4) for row in rows if row.score is not None}
+
+
+def make(preset: str) -> None:
+    """Train, keep, record."""
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        policy = train(preset, seed=SEED, out=Path(folder) / preset)
+    seconds = time.perf_counter() - began
+    shutil.rmtree(TRAINED / preset, ignore_errors=True)
+    policy.save(TRAINED / preset)
+    jax.config.update("jax_enable_x64", True)  # for all threads, which a context is not
+    found = scores(*played(preset))
+    jax.config.update("jax_enable_x64", False)
+    record = {
+        "preset": preset,
+        "seed": SEED,
+        "foveate": foveate.__version__,
+        "jax": version("jax"),
+        "trained_s": round(seconds),
+        "epoch": policy.facts["epoch"],
+        "held_out": policy.facts["held_out"],
+        "scores": found,
+    }
+    write_json(TRAINED / preset / "record.json", record)
+    print(f"{preset}: {seconds:.0f} s, held-out {policy.facts['held_out']:.2f}, {found}", flush=True)
+
+
+def main() -> None:
+    """Make those that are named, or all."""
+    for preset in sys.argv[1:] or PRESETS:
+        if preset not in PRESETS:
+            sys.exit(f"{preset}: presets are {', '.join(PRESETS)}")
+        make(preset)
+
+
+if __name__ == "__main__":
+    main()

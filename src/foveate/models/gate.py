@@ -1,0 +1,54 @@
+"""Measurements that a belief cannot believe: refused by a chi-square gate, until there are many in a row.
+
+The squared Mahalanobis distance of an honest measurement to its prediction is chi-square with as many degrees of
+freedom as it has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from scipy.stats import chi2
+
+from foveate.linalg import inverse_spd, multiply, symmetrise
+from foveate.models.belief import Belief
+
+GATE = 0.9999
+"""Refuses one honest measurement in ten thousand."""
+RESTART_AFTER = 5
+"""The last of so many refusals in a row is taken, and the belief begins anew with it: the target has really jumped."""
+
+
+def gate_limit(probability: float | None, size: int) -> float | None:
+    """The largest squared distance that passes, for measurements of `size` numbers; None where all pass.
+
+    Raises ValueError for what is no probability.
+    """
+    if probability is None:
+        return None
+    if not 0 < probability < 1:
+        raise ValueError(f"gate = {probability}: expected a probability between 0 and 1, or None")
+    return float(chi2.ppf(probability, size))
+
+
+def squared_distance(
+    prediction: Belief, measurement: Float[Array, " n_z"], H: Float[Array, "n_z n_y"], V: Float[Array, "n_z n_z"]
+) -> Float[Array, ""]:
+    """(z - H p)^T (H P^-1 H^T + V)^-1 (z - H p), P the predicted information."""
+    innovation = measurement - H @ prediction.mean
+    spread = symmetrise(multiply(H, multiply(inverse_spd(prediction.information), H.T)) + V)
+    return innovation @ inverse_spd(spread) @ innovation
+
+
+def one_point(
+    first_information: Float[Array, "n_y n_y"],
+    measurement: Float[Array, " n_z"],
+    H: Float[Array, "n_z n_y"],
+    V: Float[Array, "n_z n_z"],
+) -> Belief:
+    """A belief from one measurement: N(z, V) in what it says, in the rest the first belief, about 0.
+
+    Mean H^+ z, covariance H^+ V H^+T + N Y_0^-1 N^T with N = I - H^+ H.
+    """
+    back = jnp.linalg.pinv(H)
+    rest = jnp.eye(H.shape[1], dtype=H.dtype) - multiply(back, H)
+    covariance = multiply(multiply(back, V), back.T) + multiply(multiply(rest, inverse_spd(first_information)), rest.T)
+    return Belief(back @ measurement, inverse_spd(symmetrise(covariance)))

@@ -1,0 +1,126 @@
+"""SIGKILL at random moments of whole training processes, then --resume, against a training left alone: `make kill`.
+
+Prints for each learner how often it was killed, how far it was each time, and whether all files came out the same.
+"""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from foveate.arrays import load_arrays
+from foveate.checkpoint import BEST, CONFIG, LAST, VERSION
+from foveate.configuration import dumps_toml
+from foveate.learner_settings import ActorCriticSettings
+from foveate.learning.judging import METRICS
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.pointer import PointerSettings
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import Experiment, TrainingSettings
+
+MODEL = Experiment(
+    scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))),
+    policy=AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,)),
+    training=TrainingSettings(epochs=40, episodes=8, learning_rate=1e-2, held_out=16, check_every=2),
+)
+TRYING = replace(
+    MODEL,
+    policy=PointerSettings(
+        kind="pointer", target_widths=(8, 8), heads=2, context_widths=(8,), mode_widths=(8,), modes=1
+    ),
+    training=ActorCriticSettings(
+        algorithm="actor-critic", epochs=40, episodes=8, minibatches=2, held_out=16, check_every=2
+    ),
+)
+
+
+def start(folder: Path, *arguments: object) -> subprocess.Popen:
+    """`foveate train` in a process of its own; compiled programs are kept in the folder."""
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(folder / "programs")}
+    command = [sys.executable, "-m", "foveate.cli.main", "train", *map(str, arguments)]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen) -> tuple[int, str]:
+    """Exit status, and all that it said."""
+    out, err = process.communicate(timeout=600)
+    return process.returncode, out + err
+
+
+def checks(run: Path) -> int:
+    """How many checks a run's metrics hold."""
+    return (run / METRICS).read_bytes().count(b"\n") if (run / METRICS).exists() else 0
+
+
+def await_checks(process: subprocess.Popen, run: Path, count: int) -> None:
+    """Until so many checks are written, or the process is at its end."""
+    while checks(run) < count and process.poll() is None:
+        time.sleep(0.002)
+
+
+def differences(one: Path, other: Path) -> list[str]:
+    """The files of two runs that differ in what counts: settings, the best policy, all that a training goes on from."""
+    found = [str(path) for path in (Path(CONFIG), BEST) if (one / path).read_bytes() != (other / path).read_bytes()]
+    (_, a), (_, b) = (load_arrays(run / LAST, "training", VERSION) for run in (one, other))
+    if set(a) != set(b) or any(a[name].tobytes() != b[name].tobytes() for name in a):
+        found.append(str(LAST))
+    return found
+
+
+def kill(experiment: Experiment, kills: int, rng: np.random.Generator, folder: Path) -> list[str]:
+    """Train once alone and once killed so often; what differs in the end."""
+    config = folder / "experiment.toml"
+    config.write_text(dumps_toml(experiment))
+    status, said = finish(start(folder, "--config", config, "--seed", 3, "--out", folder / "alone"))
+    assert status == 0, said
+    began = time.perf_counter()
+    assert finish(start(folder, "--config", config, "--seed", 3, "--out", folder / "again"))[0] == 0
+    lasts, run, left, at = time.perf_counter() - began, folder / "killed", kills, []
+    while left:
+        resumes = (run / CONFIG).exists()
+        given = ("--resume", run) if resumes else ("--config", config, "--seed", 3, "--out", run)
+        process = start(folder, *given)
+        # Most of a short process is its beginning: half of the deaths come after its first check.
+        if rng.random() < 0.5:
+            time.sleep(rng.uniform(0, lasts))
+        else:
+            await_checks(process, run, checks(run) + int(rng.integers(1, 6)))
+            time.sleep(rng.uniform(0, 0.03))
+        if process.poll() is not None:
+            break
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        at.append(checks(run))
+        left -= 1
+    print(f"{type(experiment.training).__name__}: killed {len(at)} times, after so many checks: {at}")
+    assert (run / CONFIG).exists(), "killed too early every time"
+    status, said = finish(start(folder, "--resume", run))
+    assert status == 0, said
+    return differences(folder / "alone", run) + [f"only {len(at)} kills"] * (len(at) < kills)
+
+
+def main() -> int:
+    """Both learners."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--kills", type=int, default=20)
+    options.add_argument("--seed", type=int, default=0)
+    given = options.parse_args()
+    bad = 0
+    for short in (MODEL, TRYING):
+        experiment = replace(short, training=replace(short.training, epochs=240))
+        with tempfile.TemporaryDirectory() as folder:
+            found = kill(experiment, given.kills, np.random.default_rng(given.seed), Path(folder))
+        print(f"{type(experiment.training).__name__}: {', '.join(found) or 'every file as of a training left alone'}")
+        bad += bool(found)
+    return min(bad, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

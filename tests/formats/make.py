@@ -1,0 +1,98 @@
+"""Writes the example of each format beside it, by the version of foveate that runs: done once a version of a format.
+
+    python tests/formats/make.py
+
+The examples that are here were written by foveate 0.1.0. A later version must read them: where it cannot, the format's
+version goes up, and an example of the new one joins them.
+"""
+
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from foveate.checkpoint import BEST, LAST, load_run
+from foveate.configuration import digest, save_toml
+from foveate.evaluation import evaluate, prepare
+from foveate.files import write_document
+from foveate.learner_settings import ActorCriticSettings
+from foveate.learning.learner import train
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.handmade import handmade
+from foveate.policies.pointer import PointerSettings
+from foveate.recorded import load_recording
+from foveate.replay import VERSION, prepare_replay, replay, result
+from foveate.rollout import PROTOCOLS, observe, predict, start
+from foveate.scenario import Scenario, SceneSettings
+from foveate.scenes import Scene, write_scenes
+from foveate.settings import PRESETS, Experiment, TrainingSettings
+from foveate.summary import summarise, write_result
+
+HERE = Path(__file__).parent
+SCENES = SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))
+RUNS = {
+    "policy-gradient": Experiment(
+        scenario=Scenario(scenes=SCENES),
+        policy=AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,)),
+        training=TrainingSettings(epochs=4, episodes=4, held_out=4, check_every=2),
+    ),
+    "actor-critic": Experiment(
+        scenario=Scenario(scenes=SCENES),
+        policy=PointerSettings(
+            kind="pointer", target_widths=(8, 8), heads=2, context_widths=(8,), mode_widths=(8,), modes=1
+        ),
+        training=ActorCriticSettings(
+            algorithm="actor-critic", epochs=4, episodes=4, minibatches=2, held_out=4, check_every=2
+        ),
+    ),
+}
+TWO = Scene(
+    id="two", agent=(0.0, 0.5, 0.1), targets=((1.0, 1.0), (-3.0, 0.5)), drift=((0.1, 0.0), (0.0, 0.0)), horizon=4
+)
+NONE = Scene(id="none", agent=(1.0, 2.0, 3.0), targets=(), drift=(), horizon=3)
+RECORDING = "time_s,track_id,x_m,y_m\n0,a,0,0\n0,b,5,1\n0.5,a,0.4,0.1\n1.25,b,4,1\n2,a,2,0\n3,a,2.5,0.25\n"
+
+
+def decision(run: Path) -> list[float]:
+    """What a run's policy does at the beginning of the first scene."""
+    experiment, policy, _ = load_run(run)
+    problem = experiment.scenario.problem()
+    episode = jax.tree.map(lambda x: x[0], prepare(problem, experiment.scenario.scenes, [TWO]).episodes)
+    first = jax.tree.map(lambda x: x[0], episode.inputs)
+    seen = observe(predict(problem, start(problem, episode, PROTOCOLS["true"]), first), first, episode.horizon)
+    action, _ = policy(seen, policy.start(seen), jax.random.key(0))
+    return np.asarray(action, float).tolist()
+
+
+def main() -> None:
+    """Write all."""
+    decisions = {}
+    for name, experiment in RUNS.items():
+        train(experiment, HERE / name, seed=1)
+        for left in [*(HERE / name).glob("events*"), HERE / name / ".lock"]:
+            left.unlink()
+        decisions[name] = decision(HERE / name)
+    (HERE / "actor-critic" / LAST).unlink()  # its critic is as large as any
+    (HERE / "decisions.json").write_text(json.dumps(decisions, indent=1) + "\n")
+    for name, preset in PRESETS.items():
+        save_toml(preset, HERE / f"preset-{name}.toml", "A preset, as it was")
+    write_scenes(HERE / "scenes.json", [TWO, NONE])
+    (HERE / "recording.csv").write_text(RECORDING)
+    recording = load_recording(HERE / "recording.csv")
+    (HERE / "recording.csv.sha256").write_text(f"{recording.sha256}  recording.csv\n")
+
+    world = Experiment()
+    problem = world.scenario.problem()
+    still = handmade("still", problem, 2.0)
+    rows = evaluate(prepare(problem, world.scenario.scenes, [TWO, NONE]), "still", still, ("surrogate", "true"))
+    facts = {"run": "paper", "scenes": "scenes.json", "experiment": digest(world), "seed": 0}
+    write_result(HERE / "evaluation.json", rows, summarise(rows, 2), facts)
+    row, _ = replay(prepare_replay(world.scenario, recording, [0.0, 0.0, 0.0]), "still", still)
+    facts = {"run": "paper", "recording": "recording.csv", "seed": 0}
+    write_document(HERE / "replay.json", "replay", VERSION, result([row], world, recording, facts))
+    assert all((HERE / name / BEST).exists() for name in RUNS)
+
+
+if __name__ == "__main__":
+    main()

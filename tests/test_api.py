@@ -1,0 +1,299 @@
+"""What Python programs call, against the simulation, the ONNX file, filterpy and the command line."""
+
+import ast
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.spatial.transform import Rotation
+
+import foveate
+from foveate.checkpoint import policy_shape
+from foveate.cli.main import main
+from foveate.learning import learner
+from foveate.learning.judging import Check, Outcome
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.pointer import PointerSettings
+from foveate.progress import Bar
+from foveate.scenario import SceneSettings
+from foveate.scenes import write_scenes
+from foveate.settings import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_scenario
+from foveate.target_settings import DriftTarget
+from foveate.view_settings import SectorView
+
+ROOT = Path(__file__).parents[1]
+SCENES = SceneSettings(targets_min=1, targets_max=2, steps=4)
+POINTER = PointerSettings(
+    kind="pointer", target_widths=(8,), heads=2, context_widths=(8,), mode_widths=(8,), length_m=2.0
+)
+ATTENTION = AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,))
+PLANE = foveate.Experiment(scenario=foveate.Scenario(scenes=SCENES), policy=POINTER)
+SPACE = foveate.Experiment(
+    scenario=replace(QUADROTOR, scenes=replace(QUADROTOR.scenes, targets_max=4, steps=4)), policy=ATTENTION
+)
+
+SCENE = foveate.Scene(
+    id="two", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-5.0, 2.0)), drift=((0.0, 0.0), (0.1, 0.0)), horizon=4
+)
+CHANCE = {"seed": 3, "episodes": 2}
+CHECK = Check(
+    epoch=1,
+    objective=0.0,
+    gradient_norm=1.0,
+    held_out=0.5,
+    at_limit=0.0,
+    best=True,
+    epochs_per_s=1.0,
+    elapsed_s=1.0,
+    env_steps=20,
+)
+
+
+def untrained(experiment: foveate.Experiment) -> foveate.TrainedPolicy:
+    """Weights drawn by numpy, for which nothing is compiled."""
+    rng = np.random.default_rng(0)
+    network = jax.tree.map(lambda x: jnp.asarray(rng.normal(0, 0.5, x.shape), x.dtype), policy_shape(experiment))
+    return foveate.TrainedPolicy(name="untrained", experiment=experiment, network=network, facts={})
+
+
+def test_nothing_heavy_is_imported_before_it_is_asked_for() -> None:
+    code = "import sys, foveate\nprint(dir(foveate), 'jax' in sys.modules, 'numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-2:] == ["False", "False"]
+    assert "'TrainedPolicy'" in done.stdout
+    with pytest.raises(AttributeError, match=r"no attribute 'evalute': it has .*evaluate"):
+        foveate.evalute  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_type_checkers_and_programs_see_the_same_names() -> None:
+    stub = ast.parse((ROOT / "src" / "foveate" / "__init__.pyi").read_text(encoding="utf-8"))
+    homes = {
+        alias.asname: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert sorted([*homes, "__version__"]) == sorted(dir(foveate))
+    for name, home in homes.items():
+        __import__(str(home))
+        assert getattr(foveate, str(name)) is getattr(sys.modules[str(home)], str(name))
+
+
+@pytest.mark.parametrize("experiment", [PLANE, SPACE], ids=["plane", "space"])
+def test_decides_as_its_onnx_file_on_what_a_tracker_knows(experiment: foveate.Experiment, tmp_path: Path) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    policy, d = untrained(experiment), experiment.scenario.dimension
+    policy.export(tmp_path / "policy.onnx")
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    tracker, pose = foveate.Tracker(policy.scenario), np.array([0.5, -1.0, 0.3]) if d == 2 else np.eye(4)
+    for count in range(4):
+        tracker.predict()
+        inputs = tracker.inputs(pose, policy.steps_left)
+        (control,) = session.run(["control"], {each.name: inputs[each.name] for each in session.get_inputs()})
+        np.testing.assert_allclose(policy(tracker.belief(), pose), control[0], rtol=0, atol=1e-5)
+        assert tracker.belief().targets == count
+        tracker.add(f"walker {count}", [1.0 + count, -2.0, 3.0][:d])
+    assert policy.steps_left == json.loads(session.get_modelmeta().custom_metadata_map["steps_left"]) == 2
+    assert json.loads(session.get_modelmeta().custom_metadata_map["output"])["axes"] == list(policy.axes)
+
+
+def test_a_pose_in_space_is_a_matrix_or_numbers() -> None:
+    policy, turn = untrained(SPACE), Rotation.from_euler("z", 0.7)
+    x, y, z, w = turn.as_quat()
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn.as_matrix(), [1, 2, 3]
+    belief = foveate.Belief(np.ones((1, 6)), covariance=np.eye(6))
+    np.testing.assert_allclose(policy(belief, T), policy(belief, [1, 2, 3, w, x, y, z]), rtol=0, atol=1e-9)
+    T[0, 0] = 2.0
+    with pytest.raises(ValueError, match="expected a homogeneous matrix"):
+        policy(belief, T)
+
+
+def test_predicts_as_filterpy_and_padding_does_not_matter() -> None:
+    policy = untrained(PLANE)
+    mean, P = np.array([[1.0, 2.0], [3.0, -4.0]]), np.array([[0.5, 0.1], [0.1, 0.3]])
+    pushes, far = np.array([[0.4, 0.0], [0.0, -0.2]]), [[np.nan, np.inf]]
+    found = policy.predict(foveate.Belief(mean, covariance=P), pushes)
+    for i in range(2):
+        other = KalmanFilter(dim_x=2, dim_z=2, dim_u=2)
+        other.x, other.P, other.F, other.B, other.Q = mean[i][:, None], P, np.eye(2), np.eye(2), 0.05**2 * np.eye(2)
+        other.predict(pushes[i][:, None])
+        np.testing.assert_allclose(found.mean[i], other.x[:, 0], rtol=1e-12)
+        np.testing.assert_allclose(found.covariance[i], other.P, rtol=1e-12)
+    padded = foveate.Belief(
+        [*mean, *far],
+        information=[*np.linalg.inv([P, P]), np.full((2, 2), np.nan)],
+        present=[True, True, False],
+        known_input=[*pushes, *far],
+    )
+    plain = foveate.Belief(mean, covariance=P, known_input=pushes)
+    pose = [0.0, 1.0, 2.0]
+    np.testing.assert_allclose(policy(padded, pose), policy(plain, pose), rtol=0, atol=1e-12)
+    many = plain.padded(100)
+    assert (many.targets, len(many.mean), many.padded(7)) == (2, 100, many)
+    np.testing.assert_allclose(policy(many, pose), policy(plain, pose), rtol=0, atol=1e-12)
+    nobody = foveate.Belief(np.zeros((0, 2)), covariance=np.eye(2))
+    assert np.isfinite(policy(nobody, pose)).all()
+    assert repr(nobody) == "Belief(0 targets with states of 2 numbers)"
+    assert repr(many) == "Belief(2 targets with states of 2 numbers, padded to 100, standard deviations 0.55 to 0.71)"
+
+
+ONE = np.eye(2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ({"mean": [[1, 2]]}, "covariance, information: expected one of them"),
+        ({"mean": [1, 2], "covariance": ONE}, r"mean has shape \(2,\): expected \(n, n_y\)"),
+        ({"mean": [[1, np.nan]], "covariance": ONE}, r"mean\[0\] = \[1.0, nan\]: expected finite"),
+        ({"mean": [[1, 2]], "covariance": np.eye(3)}, r"covariance has shape \(3, 3\): expected \(1, 2, 2\)"),
+        ({"mean": [[1, 2]], "covariance": -ONE}, r"covariance\[0\] = .* positive definite"),
+        ({"mean": [[1, 2]], "information": [[1, 1], [0, 1]]}, r"information\[0\] = .* symmetric"),
+        ({"mean": [[1, 2]], "information": [[np.inf, 0], [0, 1]]}, r"information\[0\] = .* finite"),
+        ({"mean": [[1, 2]], "covariance": ONE, "present": [1]}, r"present has shape \(1,\) of int64"),
+        ({"mean": [[1, 2]], "covariance": ONE, "known_input": [[0], [0]]}, r"known_input has shape \(2, 1\)"),
+    ],
+)
+def test_a_belief_that_is_none_is_refused(arguments: dict, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        foveate.Belief(**arguments)
+
+
+def test_a_belief_or_pose_of_another_world_is_refused() -> None:
+    policy = untrained(PLANE)
+    with pytest.raises(ValueError, match=r"mean has shape \(1, 3\): expected \(1, 2\)"):
+        policy(foveate.Belief(np.ones((1, 3)), covariance=np.eye(3)), [0, 0, 0])
+    with pytest.raises(ValueError, match=r"known_input has shape \(1, 1\): expected \(1, 2\)"):
+        policy(foveate.Belief([[1, 2]], covariance=ONE, known_input=[[1]]), [0, 0, 0])
+    with pytest.raises(ValueError, match="planar pose: expected 3 finite numbers"):
+        policy(foveate.Belief([[1, 2]], covariance=ONE), [0, 0])
+
+
+@pytest.fixture
+def trainer(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
+    """A learner that only says what it was asked for and leaves a policy; tests/cli has the real one in its place."""
+    asked = []
+
+    def train(experiment, out, seed, resume, report) -> Outcome:
+        asked.append((experiment, out, seed, resume))
+        if not resume:
+            untrained(experiment).save(out)
+        report(CHECK, 1)
+        return Outcome(epochs=1, best_epoch=1, best_score=0.5, returns=0, stopped="it was enough" * (seed == 9))
+
+    monkeypatch.setattr(learner, "train", train)
+    return asked
+
+
+def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    policy = foveate.train(PLANE.scenario, like="paper", epochs=7, seed=3, out=out)
+    expected = for_scenario(PLANE.scenario, "paper")
+    expected = replace(expected, training=replace(expected.training, epochs=7))
+    assert trainer[-1] == (expected, out, 3, False)
+    assert foveate.load(out).experiment == policy.experiment == expected
+    assert foveate.train(expected, out=out, seed=3, resume=True, progress=False).name == str(out)
+    assert trainer[-1] == (expected, out, 3, True)
+    (tmp_path / "own.toml").write_text("[scenario]\ntau_s = 0.25\n")
+    fitted = foveate.train(tmp_path / "own.toml", algorithm="actor-critic")
+    assert (fitted.scenario.tau_s, fitted.experiment.policy.kind) == (0.25, "pointer")
+    assert not trainer[-1][1].exists(), "without a place for it nothing is left"
+    with pytest.warns(UserWarning, match="a policy: the training stopped early: it was enough"):
+        foveate.train("paper", seed=9)
+    assert trainer[-1][0] == PRESETS["paper"]
+    with pytest.raises(ValueError, match="resume: expected out"):
+        foveate.train("paper", resume=True)
+    with pytest.raises(ValueError, match="nobody: expected a preset, that is paper, "):
+        foveate.train("nobody")
+    with pytest.raises(ValueError, match="seed -1: expected"):
+        foveate.train("paper", seed=-1)
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    policy = replace(untrained(PLANE), facts={"seed": 3})
+    policy.save(tmp_path / "kept")
+    kept = foveate.load(tmp_path / "kept")
+    assert (kept.name, kept.experiment, kept.facts) == (str(tmp_path / "kept"), PLANE, {"seed": 3})
+    for one, other in zip(jax.tree.leaves(kept.network), jax.tree.leaves(policy.network), strict=True):
+        np.testing.assert_array_equal(one, other)
+    text = repr(policy)
+    assert "pointer network of 483 weights; trained for 1 to 2 targets (drift), differential_drive" in text
+    assert "triangle view of 2 m, a command [vx, wz] every 1 s" in text
+    with pytest.raises(ValueError, match="exists already"):
+        policy.save(tmp_path / "kept")
+    with pytest.raises(ValueError, match="no such run folder, and no preset"):
+        foveate.load("nobody")
+
+
+def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever is given: a run, a policy, and one of the user's own with its scenario."""
+    monkeypatch.setattr("foveate.evaluation.decision_time", lambda *_: 0.125)
+    out, policy, scenes = tmp_path / "run", untrained(PLANE), tmp_path / "scenes.json"
+    policy.save(out)
+    write_scenes(scenes, [SCENE])
+    command = ["evaluate", str(out), "--scenes", str(scenes), "--protocol", "true", "--episodes", "2", "--seed", "3"]
+    assert main([*command, "--json", str(tmp_path / "a")]) == 0
+    foveate.evaluate(out, scenes, protocol="true", **CHANCE).to_json(tmp_path / "b")
+    mine = foveate.evaluate(policy, [SCENE], protocol="true", progress=False, **CHANCE)
+    mine.to_json(tmp_path / "c")
+    foveate.evaluate(policy.network, [SCENE], scenario=PLANE.scenario, protocol="true", **CHANCE).to_json(
+        tmp_path / "d"
+    )
+    a, b, c, d = (json.loads((tmp_path / name).read_text()) for name in "abcd")
+    assert a == b
+    assert a["rows"] == c["rows"] == d["rows"]
+    assert (a["experiment"], c["scenes"], d["run"]) == (c["experiment"], "scenes", "PointerPolicy")
+    assert len(mine.rows) == 2
+    assert mine.scenes == (SCENE,)
+    assert f"{mine.summary[0].mean:.2f}" in repr(mine)
+    assert f"<td>{mine.summary[0].mean:.2f}</td>" in mine._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"method": "psychic"}, "method 'psychic': expected one of"),
+        ({"episodes": 0}, "episodes 0: expected >= 1"),
+        ({"seed": -1}, "seed -1"),
+        ({"scenes": [SCENE, SCENE]}, "scenes: id 'two' is given twice"),
+        ({"scenes": [replace(SCENE, targets=((1.0, 2.0, 3.0),))]}, r"scenes\[0\] .* expected 2 numbers"),
+        ({"scenes": []}, "scenes: expected a list of at least one"),
+        ({"scenes": "nowhere.json"}, "nowhere.json: there is no such file"),
+    ],
+)
+def test_an_evaluation_that_cannot_be_is_refused(options: dict, complaint: str) -> None:
+    policy = untrained(PLANE)
+    with pytest.raises(ValueError, match=complaint):
+        foveate.evaluate(policy, **{"scenes": [SCENE], **options})
+    with pytest.raises(ValueError, match="scenario: expected the world"):
+        foveate.evaluate(policy.network, [SCENE])
+
+
+def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view() -> None:
+    paper = PRESETS["paper"].scenario
+    for name, preset in PRESETS.items():
+        assert for_scenario(preset.scenario, name) == preset
+    wide = for_scenario(replace(paper, view=SectorView(depth_m=10.0), target=DriftTarget()))
+    assert wide.policy == replace(PRESETS["true-view"].policy, length_m=25.0)
+    soft = for_scenario(replace(paper, view=SectorView(depth_m=10.0)), "paper").training
+    assert isinstance(soft, TrainingSettings)
+    assert soft.softness == ((2.0, 2.0),)
+    with pytest.raises(ValueError, match="preset 'nobody': presets are paper"):
+        for_scenario(paper, "nobody")
+    with pytest.raises(ValueError, match="algorithm 'sarsa': expected one of policy-gradient"):
+        adjusted(PLANE, "sarsa")
+
+
+def test_a_notebook_is_told_at_each_tenth(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    for quiet in (False, True):
+        with Bar("training", 40, "epochs", quiet) as bar:
+            for done in range(1, 41):
+                bar.update(done, f"note {done}")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [f"training: {done} of 40 epochs  note {done}" for done in range(4, 41, 4)]

@@ -1,0 +1,170 @@
+"""What an earlier version wrote is read as it was meant; what was changed since is refused, in a line that names it."""
+
+import ast
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foveate.arrays import load_arrays
+from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_run
+from foveate.configuration import load_toml
+from foveate.figures import read_checks
+from foveate.files import read_document
+from foveate.learning.judging import METRICS
+from foveate.recorded import load_recording
+from foveate.replay import ReplayRow
+from foveate.scenes import read_scenes
+from foveate.settings import PRESETS, Experiment
+from foveate.summary import read_result
+
+FORMATS, SOURCE = Path(__file__).parent / "formats", Path(__file__).parents[1] / "src" / "foveate"
+sys.path.append(str(FORMATS))
+from make import NONE, RUNS, TWO, decision  # noqa: E402
+
+PAPER = PRESETS["paper"].scenario
+
+
+def scenes(path):
+    return read_scenes(path, PAPER.problem().agent.space, PAPER.scenes)
+
+
+READERS = {
+    "scenes.json": scenes,
+    "evaluation.json": read_result,
+    "replay.json": lambda path: read_document(path, "replay", 1, "replay"),
+    "preset-quadrotor.toml": lambda path: load_toml(Experiment, path),
+    "recording.csv": load_recording,
+    f"policy-gradient/{CONFIG}": lambda path: load_run(path.parent),
+    f"policy-gradient/{BEST}": lambda path: load_run(path.parents[1]),
+    f"policy-gradient/{LAST}": lambda path: load_arrays(path, "training", VERSION),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_of_an_earlier_version(name):
+    experiment, _, facts = load_run(FORMATS / name)
+    assert experiment == RUNS[name]
+    assert facts["seed"] == 1
+    expected = json.loads((FORMATS / "decisions.json").read_text())[name]
+    np.testing.assert_allclose(decision(FORMATS / name), expected, atol=1e-5)
+    assert [check.epoch for check in read_checks(FORMATS / name / METRICS)] == [2, 4]
+
+
+def test_presets_scenes_recordings_and_results_of_an_earlier_version():
+    for path in FORMATS.glob("preset-*.toml"):
+        assert isinstance(load_toml(Experiment, path), Experiment)
+    assert len(list(FORMATS.glob("preset-*.toml"))) >= 4
+    assert scenes(FORMATS / "scenes.json") == [TWO, NONE]
+    recording = load_recording(FORMATS / "recording.csv")
+    assert [(track.track_id, len(track.times_s)) for track in recording.tracks] == [("a", 4), ("b", 2)]
+    rows, facts = read_result(FORMATS / "evaluation.json")
+    assert [(row.scene, row.protocol) for row in rows] == [
+        (scene, protocol) for protocol in ("surrogate", "true") for scene in ("two", "none")
+    ]
+    assert {"foveate", "jax", "device", "precision", "experiment", "seed"} <= set(facts)
+    document = read_document(FORMATS / "replay.json", "replay", 1, "replay")
+    assert {"foveate", "device", "experiment", "seed", "recording_sha256"} <= set(document)
+    assert document["recording_sha256"] == recording.sha256
+    assert set(document["rows"][0]) <= {*ReplayRow.__dataclass_fields__}
+
+
+@pytest.fixture
+def copied(tmp_path):
+    shutil.copytree(FORMATS, tmp_path / "f")
+    return tmp_path / "f"
+
+
+def refused(read, path):
+    """Whether a file is refused in one line that names it, or what it stands beside."""
+    try:
+        read(path)
+    except ValueError as error:
+        said = str(error)
+        assert len(said.splitlines()) == 1
+        assert str(path.parent) in said
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_cut_file_is_refused(copied, name):
+    path, read = copied / name, READERS[name]
+    assert not refused(read, path)
+    whole = path.read_bytes()
+    cuts = {*np.random.default_rng(0).integers(0, len(whole.rstrip()), 12).tolist(), 0, 1, len(whole.rstrip()) - 1}
+    for size in cuts:
+        path.write_bytes(whole[:size])
+        assert refused(read, path), f"cut to {size} of {len(whole)} bytes"
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_flipped_byte_is_refused_or_means_the_same(copied, name):
+    """In spaces and comments a flip may change nothing; anywhere else it is noticed."""
+    path, read = copied / name, READERS[name]
+    whole, meant, rng = path.read_bytes(), repr(read(path)), np.random.default_rng(1)
+    noticed = 0
+    for place in rng.integers(0, len(whole), 60):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(bytes(flipped))
+        if refused(read, path):
+            noticed += 1
+        else:
+            assert repr(read(path)) == meant, f"byte {place}: {whole[place - 20 : place + 20]!r}"
+    assert noticed > 30
+
+
+def test_what_was_changed_by_hand_can_say_so(copied):
+    """Without its digest a file is as one that somebody wrote."""
+    path = copied / "preset-paper.toml"
+    text = path.read_text().replace("epochs = 1000", "epochs = 2000")
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"delete its line 'digest = \.\.'"):
+        load_toml(Experiment, path)
+    path.write_text("".join(line for line in text.splitlines(keepends=True) if not line.startswith("digest")))
+    assert load_toml(Experiment, path).training.epochs == 2000
+
+
+def test_a_version_to_come_is_refused(copied):
+    for name in ("preset-paper.toml", "scenes.json", "evaluation.json"):
+        path = copied / name
+        path.write_text(path.read_text().replace("version = 1", "version = 2").replace('"version": 1', '"version": 2'))
+        read = READERS.get(name, lambda path: load_toml(Experiment, path))
+        with pytest.raises(ValueError, match=f"{name}: has version 2; this foveate reads 1 to 1, use a newer one"):
+            read(path)
+
+
+def test_a_damaged_line_of_metrics_is_named(copied):
+    path = copied / "policy-gradient" / METRICS
+    path.write_text(path.read_text()[5:])
+    with pytest.raises(ValueError, match="line 1"):
+        read_checks(path)
+
+
+CODE = {"eval", "exec", "compile", "__import__"}
+LOADERS = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "yaml"}
+
+
+def test_nothing_that_is_read_can_be_code():
+    """No pickle, no eval, no import by a name from a file; but `--add FILE.py` runs that file, and says so."""
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            where = f"{path}, line {getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
+                assert not LOADERS & {name.partition(".")[0] for name in names}, where
+            if isinstance(node, ast.Call):
+                name = getattr(node.func, "id", "")
+                assert name not in CODE, where
+                attribute = getattr(node.func, "attr", "")
+                assert attribute != "exec_module" or path.name == "reproduce.py", where
+                unsafe = [
+                    k for k in node.keywords if k.arg == "allow_pickle" and getattr(k.value, "value", 1) is not False
+                ]
+                assert not unsafe, where
+                if attribute == "load" and getattr(node.func.value, "id", "") in ("np", "numpy", "jnp", "torch"):
+                    pytest.fail(f"{where}: loads by a way that may unpickle")

@@ -1,0 +1,138 @@
+"""What is shipped: the wheel and the sdist as hatchling builds them, the trained presets in them, the citation."""
+
+import json
+import os
+import runpy
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import foveate
+from foveate.checkpoint import BEST, load_run
+from foveate.runs import TRAINED, experiment_of, run_folder
+from foveate.settings import PRESETS
+
+ROOT = Path(__file__).parents[1]
+SHIPPED = ("config.toml", "record.json", BEST.as_posix())
+CODE = """
+import foveate
+from importlib.metadata import version
+policy = foveate.load("paper")
+print(foveate.__file__)
+print(version("foveate"))
+print(policy(foveate.Belief([[1, 2]], covariance=[[1, 0], [0, 1]]), [0, 0, 0]).tolist())
+"""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with wheel and sdist, built from a copy of what is under version control, without any network."""
+    folder = tmp_path_factory.mktemp("build")
+    unwanted = shutil.ignore_patterns("__pycache__", ".*", "runs", "dist", "docs", "tests", "experiments")
+    shutil.copytree(ROOT, folder / "copy", ignore=unwanted)
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(folder)]
+    done = subprocess.run(command, cwd=folder / "copy", capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_the_wheel_is_whole_and_runs(built: Path) -> None:
+    """Types, stub, trained presets and nothing else; unpacked, it decides as the source does."""
+    (wheel,) = built.glob("*.whl")
+    assert wheel.name == f"foveate-{foveate.__version__}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        archive.extractall(built / "site")
+    code = {f"foveate/{path.relative_to(ROOT / 'src' / 'foveate').as_posix()}" for path in files_of_the_package()}
+    assert {name for name in names if ".dist-info/" not in name} == code
+    assert {"foveate/py.typed", "foveate/__init__.pyi"} <= names
+    for preset in PRESETS:
+        assert {f"foveate/trained/{preset}/{name}" for name in SHIPPED} <= names
+    metadata = (built / "site" / f"foveate-{foveate.__version__}.dist-info" / "METADATA").read_text(encoding="utf-8")
+    for line in ("License-Expression: Apache-2.0", "License-File: LICENSE", "Requires-Python: >=3.11"):
+        assert line in metadata
+    environment = {**os.environ, "PYTHONPATH": str(built / "site")}
+    done = subprocess.run(
+        [sys.executable, "-c", CODE], cwd=built, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    place, number, command = done.stdout.splitlines()
+    assert Path(place).is_relative_to(built)
+    assert number == foveate.__version__
+    here = foveate.load("paper")(foveate.Belief([[1, 2]], covariance=[[1, 0], [0, 1]]), [0, 0, 0])
+    assert json.loads(command) == pytest.approx(here.tolist(), abs=1e-5)
+
+
+def files_of_the_package() -> list[Path]:
+    kinds = {".py", ".pyi", ".typed", ".toml", ".json", ".npz"}
+    package = ROOT / "src" / "foveate"
+    return [path for path in package.rglob("*") if path.name == "py.typed" or path.suffix in kinds]
+
+
+def test_the_sdist_has_what_a_build_needs(built: Path) -> None:
+    (sdist,) = built.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    wanted = {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "constraints.txt", "Makefile"}
+    assert wanted <= names
+    assert {"src/foveate/trained/paper/record.json", "examples/python_api.py"} <= names
+
+
+def test_the_trained_presets_are_small_and_of_their_presets() -> None:
+    assert sorted(path.name for path in TRAINED.iterdir()) == sorted(PRESETS)
+    sizes = 0
+    for name, preset in PRESETS.items():
+        experiment, _, facts = load_run(TRAINED / name)
+        assert experiment == experiment_of(name) == preset
+        record = json.loads((TRAINED / name / "record.json").read_text(encoding="utf-8"))
+        assert (record["preset"], record["seed"], record["epoch"]) == (name, facts["seed"], facts["epoch"])
+        files = [path for path in (TRAINED / name).rglob("*") if path.is_file()]
+        assert sorted(path.relative_to(TRAINED / name).as_posix() for path in files) == sorted(SHIPPED)
+        sizes += sum(path.stat().st_size for path in files)
+    assert sizes < 1_000_000
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_trained_preset_scores_what_is_recorded_and_decides_as_the_simulation(preset: str) -> None:
+    """Every third decision of a scene, from the beliefs before it and the known inputs, as a user would ask for it."""
+    script = runpy.run_path(str(ROOT / "experiments" / "trained_presets.py"))
+    suite, trace = script["played"](preset)
+    record = json.loads((TRAINED / preset / "record.json").read_text(encoding="utf-8"))
+    assert script["scores"](suite, trace) == pytest.approx(record["scores"], abs=0.01)
+    policy, K, n = foveate.load(preset), suite.scenes[0].horizon, len(suite.scenes[0].targets)
+    control, commands = policy.problem.agent.control, []
+    for k in range(0, K, 3):
+        now = foveate.Belief(trace.mean[0, k, :n], information=trace.information[0, k, :n])
+        coming = policy.predict(now, suite.episodes.inputs[0, k, :n], k)
+        commands.append(policy(coming, trace.pose[0, k], K - k))
+        np.testing.assert_allclose(commands[-1], control(jnp.asarray(trace.action[0, k])), rtol=0, atol=1e-6)
+    assert (np.ptp(commands, axis=0) > 1e-3).all(), "decisions must differ, or nothing was compared"
+    assert len(policy.axes) == commands[0].size
+
+
+def test_a_run_of_a_presets_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("paper").mkdir()  # a manuscript, say
+    assert run_folder("paper") == TRAINED / "paper"
+    foveate.load("paper").save("best")
+    assert run_folder("best") == Path("best")
+    assert foveate.load("best").experiment == PRESETS["paper"]
+
+
+def test_the_citation_is_of_this_version_and_of_the_paper() -> None:
+    yaml = pytest.importorskip("ruamel.yaml", reason="comes with the extra stonesoup")
+    found = yaml.YAML(typ="safe").load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (found["cff-version"], found["version"]) == ("1.2.0", foveate.__version__)
+    assert found["license"] == project["license"]
+    (paper,) = found["references"]
+    assert [author["family-names"] for author in paper["authors"]] == ["Yang", "Koga", "Asgharivaskasi", "Atanasov"]
+    assert f"## {foveate.__version__}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

@@ -1,0 +1,175 @@
+"""What a reader of a page copies runs: its Python, its commands, its files. Only sizes are made smaller, and here."""
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import foveate
+from foveate.checkpoint import BEST, save_tree, write_config
+from foveate.cli.main import COMMANDS, main
+from foveate.configuration import from_table
+from foveate.recorded import load_recording
+from foveate.scenes import read_scenes
+from foveate.settings import PRESETS, Experiment
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
+FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.DOTALL | re.MULTILINE)
+IDS = [page.name for page in PAGES]
+
+EPOCHS, EPISODES = 1, 8
+"""What a training on a page is cut down to."""
+RUN_ELSEWHERE = {
+    "deploy.md": "tests/test_export.py",
+    "gymnasium.md": "tests/test_gym.py",
+    "stonesoup.md": "tests/test_stonesoup.py",
+    "README.md": "tests/test_docs.py",
+}
+"""Python of these pages is run by the test of what it is about."""
+RUN_HERE = {"tutorial.md", "space.md", "comparison.md", "api.md"}
+QUOTED = {"equations.md"}
+"""Lines of the code itself, which tests/test_docs.py finds there."""
+
+
+def blocks(page: Path, *kinds: str) -> list[str]:
+    """The code of a page in these languages, in order."""
+    return [code for kind, code in FENCE.findall(page.read_text(encoding="utf-8")) if kind in kinds]
+
+
+def commands(page: Path) -> Iterator[list[str]]:
+    """What the shell blocks of a page run, a command a line, comments aside."""
+    for block in blocks(page, "sh"):
+        for line in block.splitlines():
+            if words := shlex.split(line, comments=True):
+                yield words
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The commands that the command line understood, none of which runs."""
+    found: list[Any] = []
+    for kind in COMMANDS.values():
+        monkeypatch.setattr(kind, "run_command", lambda self: found.append(self) or 0)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]) -> None:
+    """By the command line itself, by the Makefile, by pyproject.toml. What they do is tested with each of them."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    for words in commands(page):
+        match words:
+            case ["foveate", *arguments]:
+                assert main(arguments) == 0, words
+                assert asked.pop()
+            case ["make", target]:
+                assert re.search(rf"^{target}:", makefile, re.MULTILINE), words
+            case ["python", file, *_]:
+                assert (ROOT / file).is_file(), words
+            case ["source", ".venv/bin/activate"]:
+                pass
+            case _:
+                pytest.fail(f"{page.name}: nothing here knows {shlex.join(words)}")
+    text = page.read_text(encoding="utf-8")
+    named = {name for group in re.findall(r"foveate\[([\w,]+)\]", text) for name in group.split(",")}
+    assert named <= set(extras)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path) -> None:
+    """Scenes, recordings and configurations; and a block in a language that no test here takes would be missed."""
+    known = {"sh", "python", "toml", "json", "csv", "text"}
+    assert {kind for kind, _ in FENCE.findall(page.read_text(encoding="utf-8"))} <= known
+    world = PRESETS["paper"].scenario
+    for text in blocks(page, "json"):
+        (tmp_path / "scenes.json").write_text(text, encoding="utf-8")
+        assert read_scenes(tmp_path / "scenes.json", world.problem().agent.space, world.scenes)
+    for text in blocks(page, "csv"):
+        (tmp_path / "recording.csv").write_text(text, encoding="utf-8")
+        assert load_recording(tmp_path / "recording.csv").tracks
+    for text in blocks(page, "toml"):
+        assert from_table(Experiment, tomllib.loads(text), page.name)
+
+
+def test_the_python_of_every_page_runs_somewhere() -> None:
+    told = {page.name for page in PAGES if blocks(page, "python")}
+    assert told == {*RUN_ELSEWHERE, *RUN_HERE, *QUOTED}
+    for name, test in RUN_ELSEWHERE.items():
+        assert name in (ROOT / test).read_text(encoding="utf-8")
+
+
+def fresh(folder: Path, preset: str) -> None:
+    """A run folder with the first weights of a preset."""
+    experiment = PRESETS[preset]
+    (folder / BEST).parent.mkdir(parents=True)
+    write_config(folder, experiment)
+    policy = experiment.policy.policy(experiment.scenario.problem(), jax.random.key(0))
+    save_tree(folder / BEST, policy, experiment, "policy", {})
+
+
+@pytest.fixture
+def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where a reader works, with the examples, small sizes, and first weights for those of presets (see `fresh`)."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    train, table1, own = foveate.train, foveate.runs.table1, foveate.runs.own_suite
+    monkeypatch.setattr(
+        "foveate.api.train",
+        lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
+    )
+    monkeypatch.setattr("foveate.runs.table1", lambda *given: table1(*given)[:2])
+    monkeypatch.setattr("foveate.runs.own_suite", lambda *given: own(*given)[:2])
+    monkeypatch.setattr("foveate.learner_settings.JudgedSettings.held_out", 4)
+    monkeypatch.setattr("foveate.runs.TRAINED", tmp_path / "trained")
+    monkeypatch.chdir(tmp_path)
+    jax.config.update("jax_disable_most_optimizations", True)  # what runs so little need not run fast
+    yield tmp_path
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+def run_python(page: Path) -> dict[str, Any]:
+    """Run the Python of a page, block after block, as a reader types it; what it leaves."""
+    names: dict[str, Any] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, page.name, "exec"), names)
+    return names
+
+
+def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = ROOT / "docs" / "tutorial.md"
+    fresh(reader / "trained" / "true-view", "true-view")
+    left = run_python(page)
+    said = capsys.readouterr().out
+    assert left["tracker"].ids == ("anna", "ben")
+    assert np.abs(left["v"]) <= 1.5
+    assert np.abs(left["w"]) <= 1.2
+    assert "drive at" in said
+    assert "uncertain" in said
+    config = tomllib.loads((reader / "runs" / "mine" / "config.toml").read_text(encoding="utf-8"))
+    assert config["scenario"]["view"] == {"shape": "sector", "depth_m": 5.0, "angle_deg": 70.0}
+    (words,) = [words for words in commands(page) if words[:2] == ["foveate", "export"]]
+    assert main(words[1:]) == 0
+    assert (reader / "mine.onnx").is_file()
+
+
+def test_the_page_of_the_python_functions_runs() -> None:
+    assert run_python(ROOT / "docs" / "api.md")["foveate"] is foveate
+
+
+def test_the_page_on_space_runs(reader: Path) -> None:
+    fresh(reader / "trained" / "quadrotor", "quadrotor")
+    left = run_python(ROOT / "docs" / "space.md")
+    assert left["policy"].axes == ("vx", "vy", "vz", "wz")
+    assert np.isfinite(left["command"]).all()
+
+
+def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_python(ROOT / "docs" / "comparison.md")
+    assert "NearAndUncertain on table1" in capsys.readouterr().out
