@@ -84,11 +84,12 @@ class Bench:
         import jax
         import numpy as np
 
+        # So that compilation is what is timed. Before the first array is made, since JAX looks once.
+        jax.config.update("jax_enable_compilation_cache", False)
         from foveate.benchmarks import measurements
         from foveate.progress import Bar
         from foveate.timing import Metric, measure_yardsticks, spread
 
-        jax.config.update("jax_enable_compilation_cache", False)  # so that compilation is what is timed
         work = measurements(tuple(dict.fromkeys(self.episodes)), self.quick)
         found: list[Metric] = []
         ratios: dict[str, float] = {}
