@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -67,7 +68,13 @@ def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
 def test_eight_devices_learn_what_one_does(tmp_path):
     eight = "--xla_force_host_platform_device_count=8"
     with started(TINY, tmp_path / "eight", flags=eight) as process:
-        train(TINY, tmp_path / "one")
+        precisions = []
+        train(
+            TINY,
+            tmp_path / "one",
+            report=lambda check, total: precisions.append(jax.config.jax_default_matmul_precision),
+        )
+        assert precisions == ["highest"], "on an accelerator, too"
         _, complaint = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, complaint
     assert arrays(tmp_path / "eight" / "run")[0] == 20
@@ -100,6 +107,7 @@ def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
     assert first.returncode == 1
     assert "another process of this training was lost" in complaint
     assert "Traceback" not in complaint
+    assert "go on with  foveate train --resume" in complaint
     epoch, learned = arrays(run)
     assert epoch >= 20
     assert json.loads((run / METRICS).read_text().splitlines()[-1])["epoch"] == epoch

@@ -77,8 +77,8 @@ class Train:
         try:
             return self._run()
         except ProcessLost as error:
-            print(f"foveate: {error}", file=sys.stderr)
-            sys.stderr.flush()
+            how = f"its last check is kept: go on with  foveate train --resume {self._folder()}"
+            print(f"foveate: {error}; {how}", file=sys.stderr, flush=True)
             # Not by sys.exit, which would wait for who is gone.
             os._exit(1)
 
@@ -104,12 +104,9 @@ class Train:
         if self.resume is not None:
             self._refuse_with_resume()
             experiment, seed = stored_run(self.resume)
-            out = self.resume
+            out = self._folder()
         else:
-            experiment, seed = self._experiment(), self.seed
-            named = (self.preset or "paper") if self.config is None else self.config.stem
-            names = [named, self.algorithm, str(self.seed)]
-            out = self.out or Path("runs") / "-".join(name for name in names if name)
+            experiment, seed, out = self._experiment(), self.seed, self._folder()
         outcome = self._train(experiment, out, seed)
         print(
             f"{out}: best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
@@ -120,6 +117,14 @@ class Train:
             print(f"{out}: stopped early: {outcome.stopped}", file=sys.stderr)
             return 1
         return 0
+
+    def _folder(self) -> Path:
+        """The run folder."""
+        if self.resume is not None:
+            return self.resume
+        named = (self.preset or "paper") if self.config is None else self.config.stem
+        names = [named, self.algorithm, str(self.seed)]
+        return self.out or Path("runs") / "-".join(name for name in names if name)
 
     def _refuse_with_resume(self) -> None:
         for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out", "window", "remat"):

@@ -47,6 +47,7 @@ class Progress(eqx.Module):
     returns: jax.Array
 
 
+@jax.default_matmul_precision("highest")  # accelerators round factors to 10 bits by themselves
 def train(
     experiment: Experiment,
     out: Path,
