@@ -1,7 +1,11 @@
 """Checks that settings share: each raises a ValueError of one line that names the field, its value and the right."""
 
+from dataclasses import fields, is_dataclass
+from typing import Any
+
 import numpy as np
 
+LEAST, MOST = 1e-18, 1e12
 Matrix = tuple[tuple[float, ...], ...]
 
 
@@ -27,6 +31,19 @@ def seed_number(seed: int, name: str) -> None:
     """Raise ValueError for a seed that is no seed."""
     if not 0 <= seed < 2**32:
         raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
+
+
+def representable(settings: Any, path: str = "") -> None:
+    """Raise ValueError unless all numbers in it, and squares, are some in float32: 0, or from 1e-18 to 1e12 in size."""
+    if is_dataclass(settings):
+        for field in fields(settings):
+            representable(getattr(settings, field.name), f"{path}.{field.name}".lstrip("."))
+    elif isinstance(settings, tuple):
+        for i, item in enumerate(settings):
+            representable(item, f"{path}[{i}]")
+    elif isinstance(settings, int | float):
+        fits = settings == 0 or LEAST <= abs(settings) <= MOST
+        require(fits, path, settings, f"expected 0 or a size from {LEAST:g} to {MOST:g}")
 
 
 def matrix(value: Matrix, name: str, shape: tuple[int | None, int | None]) -> np.ndarray:

@@ -313,4 +313,6 @@ def _shown(value: Any) -> str:
         text = repr(value)
     except ValueError:  # Python refuses to print whole numbers of more than 4300 digits
         return "a number of thousands of digits"
+    except RecursionError:
+        return "a table in a table, hundreds deep"
     return text if len(text) <= 60 else text[:57] + "..."

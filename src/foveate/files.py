@@ -145,7 +145,11 @@ def read_document(path: str | Path, kind: str, newest: int, what: str) -> dict[s
         raise file_error(path, f"is not a {what}: wanted an object of the format 'foveate-{kind}'")
     recorded = document.pop("digest", None)
     check_format(path, document, kind, newest)
-    if recorded is not None and recorded != content_digest(document):
+    try:
+        fits = recorded is None or recorded == content_digest(document)
+    except RecursionError as error:
+        raise file_error(path, f"is not a usable {what}: {error}") from error
+    if not fits:
         raise file_error(
             path, "is damaged, or was changed by hand: it does not fit its digest (after a change by hand delete that)"
         )

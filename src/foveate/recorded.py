@@ -286,7 +286,7 @@ def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Samp
             than `MAX_CELLS` instants x tracks (`resample_slots` needs far less).
     """
     times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
-    _check_size(len(times), len(tracks))
+    _check_size(recording.name, len(times), len(tracks))
     present = np.zeros((len(times), len(tracks)), dtype=bool)
     positions = np.empty((len(times), len(tracks), recording.dimension))
     for column, (track, piece) in enumerate(zip(tracks, pieces, strict=True)):
@@ -312,7 +312,9 @@ def slots(sampled: Sampled) -> Slots:
     """
     columns = zip(sampled.present.T, sampled.positions_m.swapaxes(0, 1), strict=True)
     pieces = [_Piece(0, present, positions) for present, positions in columns]
-    return _pack(pieces, sampled.times_s, sampled.positions_m.shape[2], sampled.track_ids, sampled.dropped)
+    return _pack(
+        "a sampled recording", pieces, sampled.times_s, sampled.positions_m.shape[2], sampled.track_ids, sampled.dropped
+    )
 
 
 def resample_slots(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slots:
@@ -323,7 +325,7 @@ def resample_slots(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -
     """
     times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
     ids = tuple(track.track_id for track in tracks)
-    return _pack(pieces, times, recording.dimension, ids, len(recording.tracks) - len(tracks))
+    return _pack(recording.name, pieces, times, recording.dimension, ids, len(recording.tracks) - len(tracks))
 
 
 def _sampled_tracks(
@@ -337,17 +339,17 @@ def _sampled_tracks(
     steps = floor(span_s / tau_s + 1e-6)  # the tolerance keeps an end that falls on an instant
     if steps < 1:
         raise ValueError(f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least")
-    _check_size(steps + 1, 1)
+    _check_size(recording.name, steps + 1, 1)
     times = start_s + tau_s * np.arange(steps + 1)
     pieces = [_sample(track, times, tau_s, max_gap_s) for track in recording.tracks]
     kept = [i for i, piece in enumerate(pieces) if piece.present.any()]
     return times, [recording.tracks[i] for i in kept], [pieces[i] for i in kept]
 
 
-def _check_size(steps: int, columns: int) -> None:
+def _check_size(name: str, steps: int, columns: int) -> None:
     if steps * columns > MAX_CELLS:
         raise ValueError(
-            f"{steps} instants x {columns} columns to sample; at most {MAX_CELLS} in all are possible: "
+            f"{name}: {steps} instants x {columns} columns to sample; at most {MAX_CELLS} in all are possible: "
             "cut the recording in time, choose a longer tau_s, or look for wrong times in it"
         )
 
@@ -370,10 +372,12 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
     return _Piece(first, bridged | on_fix, start + fraction * (end - start))
 
 
-def _pack(pieces: Sequence[_Piece], times: np.ndarray, dimension: int, ids: tuple[str, ...], dropped: int) -> Slots:
+def _pack(
+    name: str, pieces: Sequence[_Piece], times: np.ndarray, dimension: int, ids: tuple[str, ...], dropped: int
+) -> Slots:
     lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
     column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
-    _check_size(len(times), columns)
+    _check_size(name, len(times), columns)
     present = np.zeros((len(times), columns), dtype=bool)
     index = np.full((len(times), columns), -1)
     positions = np.zeros((len(times), columns, dimension))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.agent_settings import AgentSettings, DifferentialDrive
-from foveate.checks import Matrix, covariance, matrix, not_negative, positive, require
+from foveate.checks import Matrix, covariance, matrix, not_negative, positive, representable, require
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.problem import Problem, Schedule
@@ -159,6 +159,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         positive(self, "tau_s")
+        representable(self)
         d = self.dimension
         right = f"expected a shape in {d} dimensions, as the agent's"
         require(self.view.dimension == d, "view.shape", self.view.shape, right)

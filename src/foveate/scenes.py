@@ -1,6 +1,7 @@
 """Scenes: where agent and targets start and how the targets drift. In memory and in files."""
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -61,8 +62,7 @@ def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> lis
     if not isinstance(rows, list) or not rows:
         raise ValueError(f"{where}: expected a list of at least one scene")
     scenes = [_scene(row, f"{where}[{i}]", space, settings) for i, row in enumerate(rows)]
-    ids = [scene.id for scene in scenes]
-    if twice := [name for name in ids if ids.count(name) > 1]:
+    if twice := [name for name, count in Counter(scene.id for scene in scenes).items() if count > 1]:
         raise ValueError(f"{where}: id {twice[0]!r} is given twice: expected one scene an id")
     return scenes
 

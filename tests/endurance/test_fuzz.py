@@ -1,0 +1,124 @@
+"""A short walk of what `make fuzz` does at length, and inputs that were built to be slow, or large."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from fuzz import arguments, furnish, fuzz, light, readers, require, run_command
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foveate.cli.main import COMMANDS
+
+odd = st.text() | st.floats().map(str) | st.integers().map(str)
+rows = st.lists(st.tuples(odd, odd, odd, odd), max_size=6)
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+scene = st.fixed_dictionaries(
+    {
+        "id": values,
+        "agent": st.lists(st.floats(), max_size=4) | values,
+        "targets": st.lists(values, max_size=3) | values,
+    },
+    optional={"drift": values, "horizon": values},
+)
+
+
+@pytest.fixture(scope="module")
+def read_by():
+    return readers()
+
+
+def refused_or_taken(reader, path, text):
+    path.write_text(text, encoding="utf-8", errors="surrogatepass", newline="")
+    try:
+        reader(path)
+    except ValueError as error:
+        require(len(str(error).splitlines()) == 1 and str(path) in str(error), repr(error))
+
+
+def test_two_thousand_inputs():
+    counts, broken = fuzz(2000, 5, report=lambda line: None)
+    assert broken == []
+    assert sum(counts.values()) == 2000
+    for kind in ("recording", "scenes", "toml"):
+        assert counts[f"{kind} taken"] > 20
+        assert counts[f"{kind} refused"] > 100
+
+
+@settings(max_examples=100, deadline=None)
+@given(rows=rows)
+def test_recordings_of_anything(tmp_path_factory, read_by, rows):
+    text = "time_s,track_id,x_m,y_m\n" + "\n".join(map(",".join, rows))
+    refused_or_taken(read_by["recording"], tmp_path_factory.getbasetemp() / "any.csv", text)
+
+
+@settings(max_examples=100, deadline=None)
+@given(scenes=st.lists(scene, max_size=3) | values)
+def test_scenes_of_anything(tmp_path_factory, read_by, scenes):
+    text = json.dumps({"format": "foveate-scenes", "version": 1, "scenes": scenes})
+    refused_or_taken(read_by["scenes"], tmp_path_factory.getbasetemp() / "any.json", text)
+
+
+@settings(max_examples=100, deadline=None)
+@given(text=st.lists(st.tuples(st.sampled_from(["scenario", "tau_s", "[policy]\nkind"]), values), max_size=3))
+def test_configurations_of_anything(tmp_path_factory, read_by, text):
+    lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in text)
+    refused_or_taken(read_by["toml"], tmp_path_factory.getbasetemp() / "any.toml", lines)
+
+
+@settings(max_examples=40, deadline=None)
+@given(command=st.sampled_from([*COMMANDS]), words=st.lists(st.text(), max_size=3))
+def test_arguments_of_anything(tmp_path_factory, command, words):
+    folder = tmp_path_factory.getbasetemp() / "words"
+    folder.mkdir(exist_ok=True)
+    furnish(folder)
+    with pytest.MonkeyPatch.context() as patch, light():
+        patch.chdir(folder)
+        assert run_command([command, *words]).startswith("status")
+
+
+MEBIBYTE = 1 << 20
+LARGE = {
+    "scenes, many": (
+        "scenes",
+        json.dumps(
+            {
+                "format": "foveate-scenes",
+                "version": 1,
+                "scenes": [{"id": f"s{i}", "agent": [0, 0, 0], "targets": []} for i in range(18_000)],
+            }
+        ),
+    ),
+    "scenes, deep": ("scenes", '{"format": "foveate-scenes", "version": 1, "scenes": ' + "[" * (MEBIBYTE - 100)),
+    "scenes, deep with a digest": (
+        "scenes",
+        '{"format": "foveate-scenes", "version": 1, "digest": "x", "scenes": ' + "[" * 900 + "]" * 900 + "}",
+    ),
+    "recording, one line": ("recording", "time_s,track_id,x_m,y_m\n" + "9" * MEBIBYTE),
+    "recording, tracks": ("recording", "time_s,track_id,x_m,y_m\n" + "".join(f"0,{i},0,0\n" for i in range(80_000))),
+    "recording, a long time": ("recording", "time_s,track_id,x_m,y_m\n0,a,0,0\n1e12,a,0,0\n"),
+    "toml, deep": ("toml", "a = " + "[" * (MEBIBYTE - 100)),
+    "toml, dotted": ("toml", ".".join("a" * 5000) + " = 1"),
+    "toml, keys": ("toml", "".join(f"k{i} = 1\n" for i in range(70_000))),
+    "toml, a number": ("toml", "[scenario]\ntau_s = " + "9" * (MEBIBYTE - 100)),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_large_files_are_done_soon(tmp_path, read_by, name):
+    kind, text = LARGE[name]
+    assert len(text) <= MEBIBYTE + 100
+    began = time.process_time()
+    refused_or_taken(read_by[kind], tmp_path / "large", text)
+    assert time.process_time() - began < 5.0
+
+
+def test_arguments_reach_every_command():
+    """The drawn ones do: else this would try nothing."""
+    rng = np.random.default_rng(0)
+    assert {word for _ in range(500) for word in arguments(rng)[:1]} >= set(COMMANDS)
