@@ -46,6 +46,7 @@ FLOORS = [
     [
         *(
             "learning.sensitivity",
+            "learning.devices",
             "learning.gradient",
             "learning.policy_gradient",
             "learning.actor_critic",

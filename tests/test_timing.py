@@ -51,7 +51,7 @@ def test_compilations_are_counted_and_only_inside():
 
 def test_yardsticks_and_memory_are_of_this_machine():
     found = measure_yardsticks(1)
-    assert found["matmul"][0] > 1e8, "operations a second"
-    assert found["python"][0] > 1e4, "rounds of a loop a second"
+    assert found["matmul"] > 1e8, "operations a second"
+    assert found["python"] > 1e4, "rounds of a loop a second"
     held = np.ones(2**23)  # 64 MiB, written to
     assert peak_memory_mib() >= held.nbytes / 2**20

@@ -87,14 +87,16 @@ def _has_long_key(text: str) -> bool:
     return len(_QUOTED.findall(lines)) > 10 * DEEPEST or any(part.count(".") > DEEPEST for part in _PIECES.split(lines))
 
 
-def save_toml(instance: Any, path: str | Path, header: str = "") -> None:
+def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
     """Write TOML that says what it is, after `header` as a comment; it can be read by `load_toml` of later versions.
 
-    The digest comes first: whatever the file loses, it is there to tell.
+    `sealed`, it holds its digest, and shows every change; what people are to edit does not. The digest comes first:
+    whatever the file loses, it is there to tell.
     """
-    seal = (f'digest = "{digest(instance)}"', f'format = "foveate-{type(instance).__name__.lower()}"')
-    comment = "\n".join([header, "After a change by hand delete the line that begins with: digest"]).strip()
-    lines = [*_comment(comment), *seal, f"version = {VERSION}", "", dumps_toml(instance)]
+    seal, hint = [f'digest = "{digest(instance)}"'], ["After a change by hand delete the line that begins with: digest"]
+    comment = "\n".join([header, *hint * sealed]).strip()
+    known = [f'format = "foveate-{type(instance).__name__.lower()}"', f"version = {VERSION}"]
+    lines = [*_comment(comment), *seal * sealed, *known, "", dumps_toml(instance)]
     write_atomic(path, "\n".join(lines).encode())
 
 

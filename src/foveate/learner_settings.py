@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from foveate.checks import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
-from foveate.rollout import Protocol
+from foveate.rollout import Back, Protocol
 
 Objective = Literal["terminal", "mean", "seen"]
 
@@ -55,7 +55,10 @@ class TrainingSettings(LearningSettings):
     or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
 
     At most `together` episodes are simulated at once on each device (None: 64 on a CPU, more elsewhere); this bounds
-    memory, and changes rounding only.
+    memory, and changes rounding only. So does `segment`, for long horizons: of an episode only the states at the
+    beginnings of so many steps at a time are remembered, and each segment is run again on the gradient's way back. With
+    `window` the gradient is another one, bounded where horizons are long: it ends at every `window` steps, so that what
+    a decision does is followed no further than to the end of its window.
     """
 
     updates: ClassVar[int] = 1
@@ -71,13 +74,22 @@ class TrainingSettings(LearningSettings):
     objective: Objective = "terminal"
     check_every: int = 50
     together: int | None = None
+    segment: int | None = None
+    window: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.together is None or self.together >= 1, "together", self.together, "expected >= 1")
+        for name in ("together", "segment", "window"):
+            value = getattr(self, name)
+            require(value is None or value >= 1, name, value, "expected >= 1")
         for name in ("epochs", "episodes", "check_every"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         positive(self, "learning_rate", "gradient_bound")
+
+    @property
+    def back(self) -> Back:
+        """How the gradient goes back through an episode."""
+        return Back(segment=self.segment, window=self.window)
 
 
 @dataclass(frozen=True, kw_only=True)

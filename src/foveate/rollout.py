@@ -41,6 +41,21 @@ TRUE = Protocol(levels=())
 PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
 
 
+class Back(NamedTuple):
+    """How a gradient goes back through the steps of an episode.
+
+    With `segment`, only the states at the beginnings of so many steps at a time are remembered, and a segment is run
+    again when its turn comes: a third more work, far less memory, and the same gradient. With `window`, it goes no
+    further back than to the last step whose number is a multiple of it.
+    """
+
+    segment: int | None = None
+    window: int | None = None
+
+
+WHOLE = Back()
+
+
 class State(eqx.Module):
     """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one).
 
@@ -219,11 +234,11 @@ def _in_view(problem: Problem, pose: Pose, positions_world: Float[Array, "points
     return problem.sensor.view.contains(problem.agent.space.to_body(pose, positions_world))
 
 
-def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record):
+def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record, back: Back = WHOLE):
     """Run all steps; `record(state, action, visible, weight)` says what to keep of each."""
 
     def step(carry, instant):
-        state, memory = carry
+        state, memory = carry if back.window is None else _forgotten(carry, carry[0].step % back.window == 0)
         predicted = predict(problem, state, instant.known_input)
         observation = observe(predicted, instant.known_input, episode.horizon)
         action, memory = policy(observation, memory, jax.random.fold_in(key, state.step))
@@ -234,7 +249,28 @@ def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol
     first = start(problem, episode, protocol)
     first_input = jax.tree.map(lambda x: x[0], steps.known_input)
     memory = policy.start(observe(predict(problem, first, first_input), first_input, episode.horizon))
-    return first, jax.lax.scan(step, (first, memory), steps)[1]
+    if back.segment is None:
+        return first, jax.lax.scan(step, (first, memory), steps)[1]
+    return first, _in_segments(step, (first, memory), steps, back.segment)
+
+
+def _forgotten(carry, now: Bool[Array, ""]):
+    """The same, but without a derivative where `now` holds."""
+
+    def one(x):
+        return jnp.where(now, jax.lax.stop_gradient(x), x) if eqx.is_inexact_array(x) else x
+
+    return jax.tree.map(one, carry)
+
+
+def _in_segments(step, first, steps, length: int):
+    """What `lax.scan` keeps of every step, by segments that are run again on the way back."""
+    count = len(jax.tree.leaves(steps)[0])
+    # The last step over and over fills up the last segment; what comes of that is dropped.
+    rows = jnp.minimum(jnp.arange(-(-count // length) * length), count - 1).reshape(-1, length)
+    segment = jax.checkpoint(lambda carry, steps: jax.lax.scan(step, carry, steps), prevent_cse=False)
+    kept = jax.lax.scan(segment, first, jax.tree.map(lambda x: x[rows], steps))[1]
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], kept)
 
 
 def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Trace:
@@ -262,21 +298,25 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
     )
 
 
-def log_dets(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
+def log_dets(
+    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Back = WHOLE
+) -> Float[Array, "K n"]:
     """log det Y_k of every target after every step, the mean over the levels: what training differentiates."""
 
     def record(state, action, visible, weight):
         del action, visible, weight
         return jnp.mean(log_det_spd(state.information), axis=0)
 
-    return _scan(problem, policy, episode, protocol, key, record)[1]
+    return _scan(problem, policy, episode, protocol, key, record, back)[1]
 
 
-def weights(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Float[Array, "K n"]:
+def weights(
+    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Back = WHOLE
+) -> Float[Array, "K n"]:
     """How far every target is in view after every step, 1 - Phi in the mean over the levels."""
 
     def record(state, action, visible, weight):
         del state, action, visible
         return jnp.mean(weight, axis=0)
 
-    return _scan(problem, policy, episode, protocol, key, record)[1]
+    return _scan(problem, policy, episode, protocol, key, record, back)[1]

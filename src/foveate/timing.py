@@ -5,6 +5,7 @@ the same run: how many of the machine's own large matrix products, or of its own
 """
 
 import contextlib
+import functools
 import resource
 import sys
 import time
@@ -68,6 +69,7 @@ def in_turn(calls: Sequence[Callable[[], Any]], repeats: int) -> np.ndarray:
     return np.array([[timed(call) for call in calls] for _ in range(repeats)])
 
 
+@functools.cache
 def matrix_product() -> tuple[Callable[[], jax.Array], float]:
     """A large float32 matrix product on one device, and its floating-point operations."""
     size = MATRIX.get(jax.default_backend(), OTHER_MATRIX)
@@ -84,16 +86,12 @@ def plain_python(loops: int = 100_000) -> int:
     return total
 
 
-def measure_yardsticks(repeats: int) -> dict[str, tuple[float, float]]:
-    """Rate of each yardstick [1/s] and the spread of its repeats: floating-point operations of a matrix product,
-    rounds of a Python loop."""
+def measure_yardsticks(repeats: int) -> dict[str, float]:
+    """Rate of each yardstick [1/s]: floating-point operations of a matrix product, rounds of a Python loop."""
     product, operations = matrix_product()
     loops = 100_000
-    seconds = in_turn([product, lambda: plain_python(loops)], repeats)
-    middle = np.median(seconds, axis=0)
-    rates = operations / middle[0], loops / middle[1]
-    names = ("matmul", "python")
-    return {name: (float(rate), spread(seconds[:, i])) for i, (name, rate) in enumerate(zip(names, rates, strict=True))}
+    seconds = np.median(in_turn([product, lambda: plain_python(loops)], repeats), axis=0)
+    return {"matmul": operations / float(seconds[0]), "python": loops / float(seconds[1])}
 
 
 @contextlib.contextmanager

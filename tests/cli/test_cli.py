@@ -206,7 +206,8 @@ def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert 'kind = "constant_velocity"' in text
     # Wide networks and long episodes are for real trainings.
     text = text.replace("[64, 64, 64]", "[8, 4]").replace("[64, 64]", "[4]").replace("[64]", "[4]")
-    config.write_text(text.replace("held_out = 240", "held_out = 2").replace("steps = 20", "steps = 3"))
+    text = text.replace("held_out = 240", "held_out = 2").replace("steps = 40", "steps = 3")
+    config.write_text(text)  # people are to edit it: nothing seals it
     assert main(["train", "--config", str(config), "--epochs", "1", "--episodes", "8", "--out", str(run)]) == 0
     arguments = ["--method", "policy", "--protocol", "true", "--json", str(tmp_path / "out.json")]
     assert main(["evaluate", str(run), *arguments]) == 0

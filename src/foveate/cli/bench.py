@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from foveate.timing import Metric
 
-REPEATS, QUICK_REPEATS = 9, 3
+REPEATS, QUICK_REPEATS, YARDSTICK_REPEATS = 9, 3, 3
 LEAST = {"s": 0.05, "us": 1.0, "1": 0.5, "MiB": 32.0}
 """What is no more than this is noise, and is not held against a baseline."""
 
@@ -82,29 +82,47 @@ class Bench:
     def _measure(self) -> "tuple[list[Metric], dict[str, float]]":
         """All metrics, with the yardsticks in front, and their ratios."""
         import jax
+        import numpy as np
 
+        # So that compilation is what is timed. Before the first array is made, since JAX looks once.
+        jax.config.update("jax_enable_compilation_cache", False)
         from foveate.benchmarks import measurements
         from foveate.progress import Bar
-        from foveate.timing import Metric, measure_yardsticks
+        from foveate.timing import Metric, measure_yardsticks, spread
 
-        jax.config.update("jax_enable_compilation_cache", False)  # so that compilation is what is timed
         work = measurements(tuple(dict.fromkeys(self.episodes)), self.quick)
         found: list[Metric] = []
-        with Bar("measuring", len(work) + 1, "parts") as bar:
-            bar.update(0, "yardsticks")
-            measured = measure_yardsticks(self._repeats)
+        ratios: dict[str, float] = {}
+        with Bar("measuring", len(work), "parts") as bar:
+            # Before and after each part, since other work on the machine comes and goes.
+            beside = [measure_yardsticks(YARDSTICK_REPEATS)]
             for i, (what, measure) in enumerate(work):
-                bar.update(i + 1, what)
-                found += measure(self._repeats)
-        matmul, python = measured["matmul"], measured["python"]
+                bar.update(i, what)
+                part = measure(self._repeats)
+                beside.append(measure_yardsticks(YARDSTICK_REPEATS))
+                rates = {name: (beside[-2][name] + beside[-1][name]) / 2 for name in beside[-1]}
+                ratios |= {metric.key: metric.ratio(rates) for metric in part}
+                found += part
+            bar.update(len(work))
+        matmul, python = ([each[name] for each in beside] for name in ("matmul", "python"))
         first = [
-            Metric(key="matmul_gflop_s", value=matmul[0] / 1e9, unit="GFLOP/s", better="higher", spread=matmul[1]),
-            Metric(key="python_loops_per_s", value=python[0], unit="1/s", better="higher", spread=python[1]),
+            Metric(
+                key="matmul_gflop_s",
+                value=float(np.median(matmul)) / 1e9,
+                unit="GFLOP/s",
+                better="higher",
+                spread=spread(matmul),
+            ),
+            Metric(
+                key="python_loops_per_s",
+                value=float(np.median(python)),
+                unit="1/s",
+                better="higher",
+                spread=spread(python),
+            ),
         ]
-        rates = {name: rate for name, (rate, _) in measured.items()}
-        metrics = first + found
-        ratios = {metric.key: metric.ratio(rates) for metric in metrics}
-        return metrics, {**ratios, **{metric.key: 1.0 for metric in first}}
+        ratios |= {metric.key: 1.0 for metric in first}
+        return first + found, ratios
 
     def _warn(self, metrics: "list[Metric]", before: dict[str, float] | None) -> None:
         """On standard error, what is not to be trusted and what is missing."""

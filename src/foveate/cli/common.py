@@ -21,6 +21,15 @@ def keep_compiled() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
+def full_precision() -> None:
+    """Matrix products in full float32, where accelerators would round factors to 10 bits; unless
+    JAX_DEFAULT_MATMUL_PRECISION asks for something else."""
+    import jax
+
+    if not os.environ.get("JAX_DEFAULT_MATMUL_PRECISION"):
+        jax.config.update("jax_default_matmul_precision", "highest")
+
+
 def compile_fast() -> None:
     """Let XLA compile in a fifth less time, for programs that wait for that more than they run. Call it before
     anything of foveate that makes arrays is imported; does nothing where XLA_FLAGS is set, or a JAX may not know it."""

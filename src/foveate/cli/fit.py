@@ -68,6 +68,6 @@ class Fit:
         said = found.lines()
         print("\n".join(said))
         header = "\n".join([f"Fitted to {self.recording.name} by foveate fit.", *said])
-        save_toml(experiment, self.out, header)
+        save_toml(experiment, self.out, header, sealed=False)
         print(f"{self.out}: written; next  foveate train --config {self.out}")
         return 0

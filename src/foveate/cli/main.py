@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from foveate.cli.bench import Bench
-from foveate.cli.common import keep_compiled
+from foveate.cli.common import full_precision, keep_compiled
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.export import Export
 from foveate.cli.fit import Fit
@@ -57,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
         )
         keep_compiled()
+        full_precision()
         return command.run_command()
     except ValueError as error:
         print(f"foveate: {error}", file=sys.stderr)

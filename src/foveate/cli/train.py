@@ -1,6 +1,8 @@
 """`foveate train`."""
 
-from dataclasses import dataclass
+import math
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -47,24 +49,64 @@ class Train:
     """Run folder to make (default: runs/PRESET-SEED, with the algorithm between them where one is given)."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
     """Go on with this run, with the settings and the seed it began with (not of PPO)."""
+    remat: bool = False
+    """For long horizons: remember a few states of an episode, and run what lies between again on the gradient's way
+    back. The same gradient, a third more work, far less memory."""
+    window: Annotated[int | None, tyro.conf.arg(metavar="STEPS")] = None
+    """For long horizons: let the gradient end at every so many steps, so that it stays bounded. Another gradient: what
+    a decision does is followed no further than to the end of its window."""
+    coordinator: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """Train in several processes that share out each batch of episodes, all started with the same options: address of
+    the first one. auto: as SLURM, Kubernetes or MPI say, without the two options below."""
+    processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How many processes there are."""
+    process_id: Annotated[int | None, tyro.conf.arg(metavar="I")] = None
+    """Which of them this one is, from 0; that one writes the run folder."""
 
     def run_command(self) -> int:
         """Train, and say how it went."""
         import sys
 
         from foveate.cli.common import check_seed
-        from foveate.learning.training import stored_run
 
         check_seed(self.seed)
+        if self.coordinator is not None or self.processes is not None or self.process_id is not None:
+            self._join()
+        from foveate.learning.devices import ProcessLost
+
+        try:
+            return self._run()
+        except ProcessLost as error:
+            how = f"its last check is kept: go on with  foveate train --resume {self._folder()}"
+            print(f"foveate: {error}; {how}", file=sys.stderr, flush=True)
+            # Not by sys.exit, which would wait for who is gone.
+            os._exit(1)
+
+    def _join(self) -> None:
+        """Become one of several processes."""
+        from foveate.learning.devices import join
+
+        if self.coordinator is None:
+            raise ValueError("--processes and --process-id: expected --coordinator HOST:PORT beside them")
+        if self.coordinator != "auto":
+            if self.processes is None or self.process_id is None:
+                raise ValueError(f"--coordinator {self.coordinator}: expected --processes N and --process-id I beside")
+            if not 0 <= self.process_id < self.processes:
+                raise ValueError(f"--process-id {self.process_id}: expected from 0 to {self.processes - 1}")
+        join(self.coordinator, self.processes, self.process_id)
+
+    def _run(self) -> int:
+        """Train in this process."""
+        import sys
+
+        from foveate.learning.training import stored_run
+
         if self.resume is not None:
             self._refuse_with_resume()
             experiment, seed = stored_run(self.resume)
-            out = self.resume
+            out = self._folder()
         else:
-            experiment, seed = self._experiment(), self.seed
-            named = (self.preset or "paper") if self.config is None else self.config.stem
-            names = [named, self.algorithm, str(self.seed)]
-            out = self.out or Path("runs") / "-".join(name for name in names if name)
+            experiment, seed, out = self._experiment(), self.seed, self._folder()
         outcome = self._train(experiment, out, seed)
         print(
             f"{out}: best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
@@ -76,9 +118,17 @@ class Train:
             return 1
         return 0
 
+    def _folder(self) -> Path:
+        """The run folder."""
+        if self.resume is not None:
+            return self.resume
+        named = (self.preset or "paper") if self.config is None else self.config.stem
+        names = [named, self.algorithm, str(self.seed)]
+        return self.out or Path("runs") / "-".join(name for name in names if name)
+
     def _refuse_with_resume(self) -> None:
-        for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out"):
-            if getattr(self, name) is not None:
+        for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out", "window", "remat"):
+            if getattr(self, name) not in (None, False):
                 raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
@@ -87,10 +137,12 @@ class Train:
 
         from foveate.checkpoint import CONFIG
         from foveate.learner_settings import PPOSettings
+        from foveate.learning.devices import folder_of_this_process
         from foveate.progress import train_watched
 
         try:
-            return train_watched(experiment, out, str(out), seed, self.resume is not None)
+            with folder_of_this_process(out, self.resume is not None) as folder:
+                return train_watched(experiment, folder, str(out), seed, self.resume is not None)
         except (KeyboardInterrupt, OSError) as error:
             by_hand = isinstance(error, KeyboardInterrupt)
             if by_hand or (out / CONFIG).exists():
@@ -105,7 +157,23 @@ class Train:
         if self.preset is not None and self.config is not None:
             raise ValueError("--preset and --config: each is a whole experiment: give one of them")
         experiment = load_toml(Experiment, self.config) if self.config is not None else PRESETS[self.preset or "paper"]
-        return adjusted(experiment, self.algorithm, self.epochs, self.episodes, self.steps)
+        return self._for_long_horizons(adjusted(experiment, self.algorithm, self.epochs, self.episodes, self.steps))
+
+    def _for_long_horizons(self, experiment: "Experiment") -> "Experiment":
+        """The experiment with --remat and --window. Raises ValueError where its learner cannot do what is asked."""
+        from foveate.learner_settings import TrainingSettings
+
+        training, scenes = experiment.training, experiment.scenario.scenes
+        if not self.remat and self.window is None and self.coordinator is None:
+            return experiment
+        if not isinstance(training, TrainingSettings):
+            raise ValueError("--remat, --window, --coordinator: expected a training by the policy gradient")
+        if self.window is not None:
+            training = replace(training, window=self.window)
+        if self.remat:
+            # As many segments as steps in each: least is remembered in all.
+            training = replace(training, segment=math.isqrt(scenes.horizon(scenes.targets_max) - 1) + 1)
+        return replace(experiment, training=training)
 
 
 def _kept(out: Path, by_ppo: bool) -> str:

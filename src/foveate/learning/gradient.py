@@ -6,21 +6,20 @@ and on a CPU it stays in the cache.
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import NamedSharding, PartitionSpec
+from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PyTree
 
+from foveate.learning.devices import AXIS, mesh
 from foveate.types import Scalar
 
 TOGETHER = {"cpu": 64}
 """Episodes of a micro-batch where nothing else is asked for: what a cache holds; on accelerators OTHERWISE."""
 OTHERWISE = 16384
-AXIS = "episodes"
-T = TypeVar("T")
 
 Cost = Callable[[Any, Any], Scalar]
 """What an episode costs under these parameters; the second argument is all that differs between episodes."""
@@ -52,7 +51,7 @@ def mean_and_gradient(
     spread = PartitionSpec(AXIS)
     return jax.shard_map(
         on_one,
-        mesh=_mesh(),
+        mesh=mesh(),
         in_specs=(PartitionSpec(), spread, spread),
         out_specs=PartitionSpec(),
         check_vma=False,  # what is summed over devices is summed above, by hand
@@ -69,15 +68,3 @@ def _in_turn(cost: Cost, parameters: PyTree, cut: PyTree, weight: Float[Array, "
 
     nothing = jnp.zeros((), weight.dtype), jax.tree.map(jnp.zeros_like, parameters)
     return jax.lax.scan(part, nothing, (cut, weight))[0]
-
-
-def _mesh() -> jax.sharding.Mesh:
-    return jax.make_mesh((jax.device_count(),), (AXIS,), axis_types=(jax.sharding.AxisType.Auto,))
-
-
-def everywhere(tree: T) -> T:
-    """The arrays of a pytree, the same on every device of every process; as they are where there is but one."""
-    if jax.device_count() == 1:
-        return tree
-    place = NamedSharding(_mesh(), PartitionSpec())
-    return jax.tree.map(lambda x: jax.device_put(x, place) if isinstance(x, jax.Array | np.ndarray) else x, tree)

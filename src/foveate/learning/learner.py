@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from foveate.files import sole_writer
+from foveate.files import LOCK, sole_writer
 from foveate.learning import ppo, training
 from foveate.learning.judging import Check, Outcome, require_free
 from foveate.settings import Experiment, PPOSettings
@@ -24,10 +24,17 @@ def train(
     by_ppo = isinstance(experiment.training, PPOSettings)
     if resume and by_ppo:
         raise ValueError(f"{out}: PPO cannot go on where it was: train it anew")
+    made = not out.exists()
     if not resume:
         require_free(out, experiment)
         out.mkdir(parents=True, exist_ok=True)
-    with sole_writer(out):
-        if by_ppo:
-            return ppo.train(experiment, out, seed, report)
-        return training.train(experiment, out, seed, resume, report)
+    try:
+        with sole_writer(out):
+            if by_ppo:
+                return ppo.train(experiment, out, seed, report)
+            return training.train(experiment, out, seed, resume, report)
+    except ValueError:
+        if made and [path.name for path in out.iterdir()] == [LOCK]:  # refused before anything was written
+            (out / LOCK).unlink()
+            out.rmdir()
+        raise

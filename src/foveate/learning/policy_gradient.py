@@ -73,9 +73,15 @@ def objective(
     problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
 ) -> Float[Array, ""]:
     """What training differentiates: log det [nat per target] or time in view of an episode, under the soft views."""
-    earnings = weights if settings.objective == "seen" else log_dets
-    values = earnings(problem, policy, episode, settings.protocol, key)
-    return episode_score(values, episode, settings.objective == "terminal")
+    earnings, is_terminal = weights if settings.objective == "seen" else log_dets, settings.objective == "terminal"
+    values = earnings(problem, policy, episode, settings.protocol, key, settings.back)
+    score = episode_score(values, episode, is_terminal)
+    if settings.window is None or not is_terminal:
+        return score
+    # What counts at the horizon is the sum of what all windows add. No value, but the derivative of the earlier ones.
+    grown, ends = step_scores(values, episode), jnp.arange(1, len(values) + 1)
+    earlier = (ends % settings.window == 0) & (ends < episode.horizon)
+    return score + jnp.sum(jnp.where(earlier, grown - jax.lax.stop_gradient(grown), 0.0))
 
 
 def epoch(

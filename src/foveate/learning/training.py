@@ -16,6 +16,7 @@ from foveate.configuration import load_toml, read_toml
 from foveate.files import read_text, write_atomic
 from foveate.learner_settings import ActorCriticSettings, PPOSettings, TrainingSettings
 from foveate.learning import actor_critic, policy_gradient
+from foveate.learning.devices import agreed, on_all
 from foveate.learning.events import Events
 from foveate.learning.judging import METRICS, Check, Outcome, claim, held_out_episodes, judge, write_check
 from foveate.learning.policy_gradient import Learner, epochs
@@ -46,6 +47,7 @@ class Progress(eqx.Module):
     returns: jax.Array
 
 
+@jax.default_matmul_precision("highest")  # accelerators round factors to 10 bits by themselves
 def train(
     experiment: Experiment,
     out: Path,
@@ -82,7 +84,7 @@ def train(
             count = min(training.check_every, training.epochs - done)
             started = time.perf_counter()
             learner, numbers = advance(jnp.array(count), progress.learner, keys[2])
-            score, at_limit = (float(x) for x in assess(learner.policy, episodes, keys[3]))
+            score, at_limit = agreed(*(float(x) for x in assess(learner.policy, episodes, keys[3])))
             finite = bool(numbers.finite) and jnp.isfinite(score)
             progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite), training)
             now = time.perf_counter()
@@ -131,7 +133,9 @@ def _advance(experiment: Experiment, problem: Problem) -> Callable:
         assert isinstance(training, TrainingSettings), "of two settings with epochs this is the other"
         return policy_gradient.epoch(problem, scenes, training, learner, key)
 
-    return eqx.filter_jit(lambda count, learner, key: epochs(advance, count, learner, key))
+    program = eqx.filter_jit(lambda count, learner, key: epochs(advance, count, learner, key))
+    # Learning by trying is not shared out: it runs on one device.
+    return on_all(program) if isinstance(training, TrainingSettings) else program
 
 
 def _is_low(score: float, best: float, objective: str) -> bool:

@@ -1,0 +1,98 @@
+"""Means and gradients in micro-batches, and ways back through time that are shorter."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from foveate.episodes import training_episode
+from foveate.learning.gradient import mean_and_gradient
+from foveate.learning.policy_gradient import episode_score, objective
+from foveate.problem import Policy
+from foveate.rollout import Back, log_dets
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import TrainingSettings
+
+STEPS = 5
+SCENARIO = Scenario(scenes=SceneSettings(targets_min=2, targets_max=2, steps=STEPS))
+PROBLEM = SCENARIO.problem()
+EPISODE = training_episode(PROBLEM, SCENARIO.scenes, jax.random.key(4), noise=False)
+KEY = jax.random.key(0)
+
+
+@pytest.mark.parametrize("together", [None, 1, 4, 7, 11, 100])
+def test_however_a_batch_is_cut_up_mean_and_gradient_are_the_same(together):
+    """Of (a x - y)^2, by hand: the derivative in a is the mean of 2 x (a x - y)."""
+    x, y = np.random.default_rng(0).normal(size=(2, 11))
+    value, gradient = mean_and_gradient(lambda a, xy: (a * xy[0] - xy[1]) ** 2, jnp.array(0.7), (x, y), together)
+    np.testing.assert_allclose(value, np.mean((0.7 * x - y) ** 2), rtol=1e-12)
+    np.testing.assert_allclose(gradient, np.mean(2 * x * (0.7 * x - y)), rtol=1e-12)
+
+
+class Changing(Policy):
+    """The tanh of weights times what is seen of the first target; at each step by its own row of weights."""
+
+    weights: jax.Array
+
+    def __call__(self, observation, memory, key):
+        seen = jnp.concatenate([observation.mean[0], observation.pose])
+        return jnp.tanh(0.1 * self.weights[observation.step] @ seen + memory), memory + 0.01
+
+    def start(self, observation):
+        return 0.1 * observation.mean[1, 0]
+
+
+WEIGHTS = jnp.asarray(np.random.default_rng(1).normal(size=(STEPS, 2, 5)))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """How each log det depends on the weights of each step: (K, K, ...), with everything remembered."""
+    scores = jax.jit(jax.jacrev(lambda w: jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY), axis=-1)))
+    return np.asarray(scores(WEIGHTS))
+
+
+SOFT = TrainingSettings().protocol
+
+
+@pytest.mark.parametrize("segment", [1, 2, 5, 9])
+def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
+    def last(w):
+        return jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY, Back(segment=segment))[-1])
+
+    value, gradient = jax.jit(jax.value_and_grad(last))(WEIGHTS)
+    assert value == pytest.approx(float(jnp.mean(log_dets(PROBLEM, Changing(WEIGHTS), EPISODE, SOFT, KEY)[-1])), 1e-12)
+    assert np.abs(plain[-1]).max() > 1e-3
+    np.testing.assert_allclose(gradient, plain[-1], rtol=1e-9, atol=1e-12)
+
+
+def windowed(objective_, window):
+    settings = TrainingSettings(objective=objective_, window=window, segment=2)
+    value, gradient = jax.jit(jax.value_and_grad(lambda w: objective(PROBLEM, Changing(w), EPISODE, settings, KEY)))(
+        WEIGHTS
+    )
+    log_det = log_dets(PROBLEM, Changing(WEIGHTS), EPISODE, SOFT, KEY)
+    assert value == pytest.approx(float(episode_score(log_det, EPISODE, objective_ == "terminal")), 1e-12)
+    return np.asarray(gradient)
+
+
+def test_a_window_follows_a_decision_to_its_end_and_no_further(plain):
+    """Weights of step k act on scores from k on; with windows of 2, on those up to the end of k's own window."""
+    ends = [1, 1, 3, 3, 4]
+    expected = np.stack([plain[ends[k], k] for k in range(STEPS)])
+    np.testing.assert_allclose(windowed("terminal", 2), expected, rtol=1e-9, atol=1e-12)
+    mean = np.stack([plain[k : ends[k] + 1, k].sum(axis=0) / STEPS for k in range(STEPS)])
+    np.testing.assert_allclose(windowed("mean", 2), mean, rtol=1e-9, atol=1e-12)
+    assert not np.allclose(expected[0], plain[-1][0], rtol=1e-3), "further on it would be another one"
+
+
+def test_a_window_that_holds_all_changes_nothing(plain):
+    np.testing.assert_allclose(windowed("terminal", STEPS), plain[-1], rtol=1e-9, atol=1e-12)
+
+
+def test_how_it_goes_back_is_checked():
+    for name in ("together", "segment", "window"):
+        with pytest.raises(ValueError, match=f"{name} = 0: expected >= 1"):
+            TrainingSettings(**{name: 0})
+    assert eqx.tree_equal(TrainingSettings(segment=3, window=6).back, Back(segment=3, window=6))
