@@ -120,7 +120,7 @@ def sane(found):
     assert np.linalg.eigvalsh(Y / (root[..., None] * root[..., None, :])).min() > 0
 
 
-@settings(EXAMPLES, max_examples=10)
+@settings(EXAMPLES, max_examples=6)
 @given(scale=SCALES, count=COUNTS, seed=SEEDS)
 def test_in_other_units_of_length_the_score_is_the_same_but_for_the_units(scale, count, seed):
     """From a millimetre to 100 km; log det of s^-2 Y is log det Y - 2 n_y log s."""
@@ -209,12 +209,12 @@ def test_information_that_is_added_never_lowers_the_score(count, seed, more, dir
 
 
 def test_float32_is_float64_within_bounds():
-    """Score within 1e-3 nat, slopes within 1e-3 of the largest, from a millimetre to 100 km; 25 episodes each."""
+    """Score within 1e-3 nat, slopes within 1e-3 of the largest, from a millimetre to 100 km; 15 episodes each."""
     exact, rounded = [], []
     for kept, x64 in ((exact, True), (rounded, False)):
         with jax.enable_x64(x64):
             run = program("played") if x64 else program.__wrapped__("played")
-            for seed, scale in itertools.product(range(25), (1e-3, 1.0, 1e5)):
+            for seed, scale in itertools.product(range(15), (1e-3, 1.0, 1e5)):
                 played = eqx.filter(Played(actions(seed)), eqx.is_inexact_array)
                 episode = episode_of(seed, seed % 9, scale)
                 kept.append(run(played, cached_world(scale, x64), episode, jnp.asarray(0.4 * scale)))

@@ -50,28 +50,28 @@ def test_two_thousand_inputs():
         assert counts[f"{kind} refused"] > 100
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(rows=rows)
 def test_recordings_of_anything(tmp_path_factory, read_by, rows):
     text = "time_s,track_id,x_m,y_m\n" + "\n".join(map(",".join, rows))
     refused_or_taken(read_by["recording"], tmp_path_factory.getbasetemp() / "any.csv", text)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(scenes=st.lists(scene, max_size=3) | values)
 def test_scenes_of_anything(tmp_path_factory, read_by, scenes):
     text = json.dumps({"format": "foveate-scenes", "version": 1, "scenes": scenes})
     refused_or_taken(read_by["scenes"], tmp_path_factory.getbasetemp() / "any.json", text)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(text=st.lists(st.tuples(st.sampled_from(["scenario", "tau_s", "[policy]\nkind"]), values), max_size=3))
 def test_configurations_of_anything(tmp_path_factory, read_by, text):
     lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in text)
     refused_or_taken(read_by["toml"], tmp_path_factory.getbasetemp() / "any.toml", lines)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(command=st.sampled_from([*COMMANDS]), words=st.lists(st.text(), max_size=3))
 def test_arguments_of_anything(tmp_path_factory, command, words):
     folder = tmp_path_factory.getbasetemp() / "words"

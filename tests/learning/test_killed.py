@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 
@@ -174,6 +175,7 @@ def alone(tmp_path_factory):
 
 def test_a_process_that_is_really_killed(alone, tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
     config, run = tmp_path / "experiment.toml", tmp_path / "killed"
     config.write_text(dumps_toml(MODEL))
     process = start(tmp_path, "--config", config, "--seed", 3, "--out", run)
