@@ -6,7 +6,6 @@ field of the same name in each; one of them may lack it or have a default, and i
 TypeError marks a dataclass that asks for more, ValueError wrong input.
 """
 
-import difflib
 import hashlib
 import json
 import math
@@ -17,6 +16,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from foveate.checks import suggestion
 from foveate.files import check_format, file_error, read_text, write_atomic
 
 T = TypeVar("T")
@@ -138,9 +138,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
     known = {field.name: field for field in fields(cls) if field.init}
     for key in table:
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            right = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-            raise at.key(key).wrong(table[key], f"unknown key; {right}")
+            raise at.key(key).wrong(table[key], f"unknown key; {suggestion(key, known)}")
     values = {name: _value(hints[name], table[name], at.key(name)) for name in known if name in table}
     for name, field in known.items():
         if name in table or _has_default(field):
