@@ -1,7 +1,5 @@
 """Checks that settings share: each raises a ValueError of one line that names the field, its value and the right."""
 
-import difflib
-from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -27,13 +25,6 @@ def not_negative(settings: object, *names: str) -> None:
     """Raise ValueError unless each of these fields is >= 0."""
     for name in names:
         require(getattr(settings, name) >= 0, name, getattr(settings, name), "expected >= 0")
-
-
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """What may have been meant by a name that is not known, or what is known."""
-    names = list(known)
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
 
 
 def seed_number(seed: int, name: str) -> None:

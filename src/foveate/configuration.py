@@ -6,6 +6,7 @@ field of the same name in each; one of them may lack it or have a default, and i
 TypeError marks a dataclass that asks for more, ValueError wrong input.
 """
 
+import difflib
 import hashlib
 import json
 import math
@@ -16,7 +17,6 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from foveate.checks import suggestion
 from foveate.files import check_format, file_error, read_text, write_atomic
 
 T = TypeVar("T")
@@ -114,6 +114,13 @@ def to_table(instance: Any) -> dict[str, Any]:
 def dumps_toml(instance: Any, header: str = "") -> str:
     """The TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
     return "\n".join([*_comment(header), *_toml_lines(to_table(instance), "")]) + "\n"
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """What may have been meant by a name that is not known, or what is known."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
 
 
 def _comment(text: str) -> list[str]:
