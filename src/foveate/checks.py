@@ -42,7 +42,7 @@ def representable(settings: Any, path: str = "") -> None:
         for i, item in enumerate(settings):
             representable(item, f"{path}[{i}]")
     elif isinstance(settings, int | float):
-        fits = settings == 0 or LEAST <= abs(settings) <= MOST
+        fits = bool(settings == 0 or LEAST <= abs(settings) <= MOST)
         require(fits, path, settings, f"expected 0 or a size from {LEAST:g} to {MOST:g}")
 
 

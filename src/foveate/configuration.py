@@ -10,6 +10,7 @@ import difflib
 import hashlib
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
@@ -22,6 +23,9 @@ from foveate.files import check_format, file_error, read_text, write_atomic
 T = TypeVar("T")
 VERSION = 1
 """Of the files that `save_toml` writes."""
+DEEPEST = 20
+"""Parts of a dotted key that are read; there are three at most in any of ours."""
+_PIECES, _QUOTED = re.compile(r"[=,{}\[\]#\n]"), re.compile(r"[\"'][ \t]*\.|\.[ \t]*[\"']")
 
 _WANTED = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text in quotes"}
 
@@ -59,6 +63,8 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
     `save_toml` wrote the file and it is no longer what was written.
     """
     text = read_text(path, "configuration file (TOML)")
+    if _has_long_key(text):
+        raise file_error(path, f"has a key of more than {DEEPEST} parts; give one as foveate writes it")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # besides TOMLDecodeError: numbers of thousands of digits
@@ -73,6 +79,12 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
         hint = "if you changed it yourself, delete its line 'digest = ..'"
         raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
     return instance, content
+
+
+def _has_long_key(text: str) -> bool:
+    """Python's parser takes the square of a key's length: one of half a million parts would take it days."""
+    lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
+    return len(_QUOTED.findall(lines)) > 10 * DEEPEST or any(part.count(".") > DEEPEST for part in _PIECES.split(lines))
 
 
 def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
