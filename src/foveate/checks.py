@@ -33,16 +33,19 @@ def seed_number(seed: int, name: str) -> None:
         raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
-def representable(settings: Any, path: str = "") -> None:
-    """Raise ValueError unless all numbers in it, and squares, are some in float32: 0, or from 1e-18 to 1e12 in size."""
+def representable(settings: Any, path: str = "", least: float = LEAST) -> None:
+    """Raise ValueError unless float32 knows all numbers in it, and squares: 0, or from 1e-18 to 1e12 in size.
+
+    An element of a matrix may be smaller than that: beside the others it is 0.
+    """
     if is_dataclass(settings):
         for field in fields(settings):
             representable(getattr(settings, field.name), f"{path}.{field.name}".lstrip("."))
     elif isinstance(settings, tuple):
         for i, item in enumerate(settings):
-            representable(item, f"{path}[{i}]")
+            representable(item, f"{path}[{i}]", 0.0)
     elif isinstance(settings, int | float):
-        fits = bool(settings == 0 or LEAST <= abs(settings) <= MOST)
+        fits = bool(settings == 0 or least <= abs(settings) <= MOST)
         require(fits, path, settings, f"expected 0 or a size from {LEAST:g} to {MOST:g}")
 
 
