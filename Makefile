@@ -5,6 +5,7 @@ PYTHON ?= python3
 EXTRA ?=
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
+ENDURANCE_ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,7 +13,7 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test lint docs bench package clean
+.PHONY: help demo test lint docs bench package coverage fuzz soak kill audit clean
 .NOTPARALLEL:
 
 help:
@@ -22,12 +23,16 @@ help:
 	@echo 'make docs    install what documentation is made with, then build it, with broken links refused, into site/'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
 	@echo 'make package the same installation, then wheel and sdist into dist/'
+	@echo 'make coverage  the tests, and how many lines of each file they reach'
+	@echo 'make fuzz    100,000 hostile inputs; make kill: 40 trainings killed; make soak: an hour of a robot, in its own time'
+	@echo 'make audit   look up the pinned dependencies in lists of known vulnerabilities'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
 	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
 	@echo 'EXTRA=ppo                for make test: install this extra of pyproject.toml too'
 	@echo 'PYTEST_ARGS="-k arrays"  for make test: further arguments of pytest'
 	@echo 'BENCH_ARGS=--quick       for make bench: its options'
+	@echo 'ENDURANCE_ARGS=--help    for make fuzz, kill, soak: their options'
 
 demo: $(VENV)/.stamp-core
 	@echo '== demo: examples/demo.py'
@@ -56,8 +61,32 @@ package: $(VENV)/.stamp-dev
 	@echo '== package: dist/'
 	@$(BIN)/python -m hatchling build
 
+coverage: $(VENV)/.stamp-dev
+	@echo '== coverage: pytest, two at a time'
+	@$(BIN)/python -m pytest -n 2 --cov=foveate --cov-report=json --cov-report=term:skip-covered $(PYTEST_ARGS)
+	@$(BIN)/python .ci/coverage.py
+
+fuzz: $(VENV)/.stamp-dev
+	@$(BIN)/python -W ignore tests/endurance/fuzz.py $(ENDURANCE_ARGS)
+
+soak: $(VENV)/.stamp-dev
+	@$(BIN)/python tests/endurance/soak.py $(ENDURANCE_ARGS)
+
+kill: $(VENV)/.stamp-dev
+	@$(BIN)/python tests/endurance/kill.py $(ENDURANCE_ARGS)
+
+# In an environment of its own: what audits is no part of what is audited.
+audit: $(VENV)/.stamp-audit
+	@$(BIN)/python .ci/audit.py $(VENV)/audit/bin/pip-audit
+
+$(VENV)/.stamp-audit: | $(VENV)/.stamp-venv
+	@echo '== install: pip-audit'
+	@$(BIN)/python -m venv --without-pip $(VENV)/audit
+	@$(BIN)/python -m pip --python $(VENV)/audit/bin/python install --quiet --disable-pip-version-check pip-audit==2.10.1
+	@touch $@
+
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* dist site
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* coverage.json dist site
 	find . -name .git -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A .venv that works is kept. Where the system's Python comes without ensurepip (Debian without python3-venv),

@@ -35,6 +35,8 @@ FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swifts
 TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
 SQUARE = np.array([[2.0, -1, -1], [2, 1, -1], [2, 1, 1], [2, -1, 1], [2, -1, -1]])
 PYRAMID = (SQUARE, *(np.array([[0.0, 0, 0], corner]) for corner in SQUARE[:4]))
+HOSTILE = "<img src=x> [a](http://b) *c* {d} & _e_ | \\ `f` <b>é"
+"""A name that would be more than text in a page's Markdown."""
 GREEN, VERMILLION = (0, 158, 115), (213, 94, 0)
 
 
@@ -274,7 +276,7 @@ def test_a_live_page_follows_its_panel(browser):
 
     def make(scene, method):
         asked.append((scene, method))
-        return made_up(steps=400, n=2, title=f"{method} on {scene}")
+        return made_up(steps=400, n=2, title=f"{method} on {scene} {HOSTILE}")
 
     programme = view.Programme(scenes=("one", "two"), methods=("nearest", "still"), film=make)
     with view._server(0) as server:
@@ -289,7 +291,7 @@ def test_a_live_page_follows_its_panel(browser):
         wait_for(lambda: "score so far" in (browser.run(text) or ""))
         player.tick(10.0)
         wait_for(lambda: "6.50 nat per target" in browser.run(text))
-        assert "nearest on one" in browser.run(text)
+        assert f"nearest on one {HOSTILE} · 2 targets" in browser.run(text), "as it is"
         before = player._moment
         assert before > 10 * SUBSTEPS
         browser.run("[...document.querySelectorAll('.mantine-Checkbox-input')].at(-1).click()")

@@ -1,7 +1,5 @@
 """Checks that settings share: each raises a ValueError of one line that names the field, its value and the right."""
 
-import difflib
-from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -29,29 +27,25 @@ def not_negative(settings: object, *names: str) -> None:
         require(getattr(settings, name) >= 0, name, getattr(settings, name), "expected >= 0")
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """What may have been meant by a name that is not known, or what is known."""
-    names = list(known)
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
-
-
 def seed_number(seed: int, name: str) -> None:
     """Raise ValueError for a seed that is no seed."""
     if not 0 <= seed < 2**32:
         raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
-def representable(settings: Any, path: str = "") -> None:
-    """Raise ValueError unless all numbers in it, and squares, are some in float32: 0, or from 1e-18 to 1e12 in size."""
+def representable(settings: Any, path: str = "", least: float = LEAST) -> None:
+    """Raise ValueError unless float32 knows all numbers in it, and squares: 0, or from 1e-18 to 1e12 in size.
+
+    An element of a matrix may be smaller than that: beside the others it is 0.
+    """
     if is_dataclass(settings):
         for field in fields(settings):
             representable(getattr(settings, field.name), f"{path}.{field.name}".lstrip("."))
     elif isinstance(settings, tuple):
         for i, item in enumerate(settings):
-            representable(item, f"{path}[{i}]")
+            representable(item, f"{path}[{i}]", 0.0)
     elif isinstance(settings, int | float):
-        fits = settings == 0 or LEAST <= abs(settings) <= MOST
+        fits = bool(settings == 0 or least <= abs(settings) <= MOST)
         require(fits, path, settings, f"expected 0 or a size from {LEAST:g} to {MOST:g}")
 
 

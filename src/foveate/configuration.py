@@ -6,9 +6,11 @@ field of the same name in each; one of them may lack it or have a default, and i
 TypeError marks a dataclass that asks for more, ValueError wrong input.
 """
 
+import difflib
 import hashlib
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
@@ -16,12 +18,14 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from foveate.checks import suggestion
 from foveate.files import check_format, file_error, read_text, write_atomic
 
 T = TypeVar("T")
 VERSION = 1
 """Of the files that `save_toml` writes."""
+DEEPEST = 20
+"""Parts of a dotted key that are read; there are three at most in any of ours."""
+_PIECES, _QUOTED = re.compile(r"[=,{}\[\]#\n]"), re.compile(r"[\"'][ \t]*\.|\.[ \t]*[\"']")
 
 _WANTED = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text in quotes"}
 
@@ -59,6 +63,8 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
     `save_toml` wrote the file and it is no longer what was written.
     """
     text = read_text(path, "configuration file (TOML)")
+    if _has_long_key(text):
+        raise file_error(path, f"has a key of more than {DEEPEST} parts; give one as foveate writes it")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # besides TOMLDecodeError: numbers of thousands of digits
@@ -73,6 +79,12 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
         hint = "if you changed it yourself, delete its line 'digest = ..'"
         raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
     return instance, content
+
+
+def _has_long_key(text: str) -> bool:
+    """Python's parser takes the square of a key's length: one of half a million parts would take it days."""
+    lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
+    return len(_QUOTED.findall(lines)) > 10 * DEEPEST or any(part.count(".") > DEEPEST for part in _PIECES.split(lines))
 
 
 def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
@@ -114,6 +126,13 @@ def to_table(instance: Any) -> dict[str, Any]:
 def dumps_toml(instance: Any, header: str = "") -> str:
     """The TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
     return "\n".join([*_comment(header), *_toml_lines(to_table(instance), "")]) + "\n"
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """What may have been meant by a name that is not known, or what is known."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
 
 
 def _comment(text: str) -> list[str]:

@@ -46,8 +46,10 @@ class Tracker:
     A detection is refused where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
     chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 refuses one honest detection in
     ten thousand. One that is not finite is refused too. `refused` counts them by id. A target that has really jumped is
-    refused five times in a row, and then begins anew. `gate` None takes whatever comes. Where the scenario says
-    `sensor.absence = "used"`, a target without a detection is believed to be outside of the view from there on.
+    refused four times in a row, and begins anew with the fifth detection. `gate` None takes whatever comes.
+
+    Where the scenario says `sensor.absence = "used"`, a target without a detection is believed to be outside of the
+    view from there on.
     """
 
     def __init__(self, problem: Problem | Scenario, *, forget_after_s: float = 10.0, gate: float | None = GATE) -> None:

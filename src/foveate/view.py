@@ -41,6 +41,11 @@ class Programme:
     film: Callable[[str, str], Film]
 
 
+def plain(text: str) -> str:
+    """Markdown that shows the text as it is: names from files must bring no pictures from elsewhere into the page."""
+    return "".join(c if c.isalnum() or c in " .,:" else f"&#{ord(c)};" for c in text)
+
+
 def usual_speed(film: Film) -> float:
     """Real time, or as fast as brings the episode under a minute."""
     return next((speed for speed in SPEEDS if speed >= 1 and film.times_s[-1] / speed <= SHORT_S), SPEEDS[-1])
@@ -167,7 +172,7 @@ class Player:
 
     def _load(self, scene: str, method: str) -> None:
         if (scene, method) not in self._films:
-            self._title.content = f"Simulating {method} on {scene} .."
+            self._title.content = plain(f"Simulating {method} on {scene} ..")
             self._films[scene, method] = self._programme.film(scene, method)
         film = self._films[scene, method]
         with self._lock:
@@ -178,7 +183,7 @@ class Player:
             self._server.scene.reset()
             self._stage = Diorama(self._server.scene, film)
             _aim(self._server, self._stage)
-            self._title.content = f"**{describe(film)}**"
+            self._title.content = f"**{plain(describe(film))}**"
             if self._chart is not None:
                 self._chart.remove()
             self._curves = curves(film)

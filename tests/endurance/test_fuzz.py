@@ -103,7 +103,10 @@ LARGE = {
     "recording, tracks": ("recording", "time_s,track_id,x_m,y_m\n" + "".join(f"0,{i},0,0\n" for i in range(80_000))),
     "recording, a long time": ("recording", "time_s,track_id,x_m,y_m\n0,a,0,0\n1e12,a,0,0\n"),
     "toml, deep": ("toml", "a = " + "[" * (MEBIBYTE - 100)),
-    "toml, dotted": ("toml", ".".join("a" * 5000) + " = 1"),
+    "toml, dotted": ("toml", ".".join("a" * (MEBIBYTE // 2)) + " = 1"),
+    "toml, dotted and quoted": ("toml", '"=".' * (MEBIBYTE // 4) + "a = 1"),
+    "toml, many dotted": ("toml", "".join(f"k{i}" + ".a" * 20 + " = 1\n" for i in range(20_000))),
+    "toml, spaces": ("toml", "a" + " " * (MEBIBYTE - 10) + ". b = 1"),
     "toml, keys": ("toml", "".join(f"k{i} = 1\n" for i in range(70_000))),
     "toml, a number": ("toml", "[scenario]\ntau_s = " + "9" * (MEBIBYTE - 100)),
 }

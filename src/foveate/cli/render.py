@@ -65,7 +65,7 @@ class Render:
 
     def _chosen(self, known, name: str, moving: bool):
         """The scenes to draw. Raises ValueError for an id that is not there, and several in one moving picture."""
-        from foveate.checks import suggestion
+        from foveate.configuration import suggestion
 
         by_id = {scene.id: scene for scene in known}
         for scene in self.scene:

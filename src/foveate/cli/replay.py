@@ -37,7 +37,7 @@ class Replay:
     clock)."""
     gate: float | None = GATE
     """The filter refuses measurements that are farther from their prediction than this share of honest ones; None: it
-    takes whatever comes. After five refusals in a row the target has really jumped, and its belief begins anew."""
+    takes whatever comes. With the fifth in a row the target has really jumped, and its belief begins anew."""
     seed: int = 0
     """Seed of the noise and of drawn starts."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None

@@ -83,7 +83,7 @@ class View:
         return tuple(dict.fromkeys((self.method, *METHODS)))
 
     def _simulated(self, experiment: "Experiment") -> "Programme":
-        from foveate.checks import suggestion
+        from foveate.configuration import suggestion
         from foveate.evaluation import prepare
         from foveate.film import Film, films
         from foveate.runs import policy_of, scenes_of
