@@ -9,15 +9,12 @@ import shutil
 import time
 from pathlib import Path
 
-from foveate.cli.common import compile_fast, keep_compiled, print_table
-
-compile_fast()  # the first run waits for compilation more than for training: this takes 10 s off it
-
 import jax
 import numpy as np
 
 from foveate.animation import animate
 from foveate.checkpoint import load_run
+from foveate.cli.common import keep_compiled, print_table
 from foveate.configuration import digest
 from foveate.episodes import table1
 from foveate.evaluation import evaluate, prepare, simulate

@@ -110,9 +110,10 @@ def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Arti
         show_curves(moment)
         k = moment // SUBSTEPS
         here = film.present[k]
-        now = f"sees {(film.seen_at(k) & here).sum()} of {here.sum()} now"
         time_s = np.interp(moment / SUBSTEPS, np.arange(film.steps + 1), film.times_s)
-        clock.set_text(f"t = {time_s:.1f} s: {now}")
+        # Poses move between two looks; who is seen is known at a look, and stands until the next one.
+        last = f"last look at {film.times_s[k]:.1f} s: {(film.seen_at(k) & here).sum()} of {here.sum()} seen"
+        clock.set_text(f"t = {time_s:.1f} s   ({last})")
 
     return [*stage.artists, *lines, clock], show
 

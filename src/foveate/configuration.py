@@ -128,6 +128,13 @@ def dumps_toml(instance: Any, header: str = "") -> str:
     return "\n".join([*_comment(header), *_toml_lines(to_table(instance), "")]) + "\n"
 
 
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """What may have been meant by a name that is not known, or what is known."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
+
+
 def _comment(text: str) -> list[str]:
     return [f"# {line}".rstrip() for line in text.splitlines()]
 
@@ -150,9 +157,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
     known = {field.name: field for field in fields(cls) if field.init}
     for key in table:
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            right = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-            raise at.key(key).wrong(table[key], f"unknown key; {right}")
+            raise at.key(key).wrong(table[key], f"unknown key; {suggestion(key, known)}")
     values = {name: _value(hints[name], table[name], at.key(name)) for name in known if name in table}
     for name, field in known.items():
         if name in table or _has_default(field):

@@ -168,8 +168,8 @@ def legend_entries() -> list[Artist]:
         Line2D([], [], color=AGENT, lw=1.5, label="agent and its path"),
         Patch(facecolor=SKY + "55", edgecolor=AGENT, lw=0.7, label="field of view"),
         Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target, its track"),
-        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="estimate (95 %), seen now"),
-        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=(0, (3, 2)), label="estimate (95 %), not seen now"),
+        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="estimate (95 %), just seen"),
+        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=(0, (3, 2)), label="estimate (95 %), not seen"),
     ]
 
 

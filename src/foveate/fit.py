@@ -93,6 +93,7 @@ def _target(statistics: MotionStatistics) -> VelocityTarget:
         density = square_speed / d * np.eye(d)
     return VelocityTarget(
         kind="constant_velocity",
+        acceleration_m2_s3=float(np.trace(density)) / d,
         Q=tuple(tuple(float(x) for x in row) for row in density),
         memory_s=max(2 * square_speed / float(np.trace(density)), statistics.tau_s),
         initial_variance_m2=1.0,
@@ -115,6 +116,7 @@ def _scenes(statistics: MotionStatistics) -> SceneSettings:
         # Uniform velocities of the recording's own second moment: a street has walkers along it, few across.
         drift_m_s=tuple(float(x) for x in np.sqrt(3 * np.diag(statistics.walk_covariance_m2)) / statistics.tau_s),
         shared_drift=False,
+        known_drift=False,
         turnover=True,
         jitter_m_s=0.0,
         steps=max(10, round(20.0 / statistics.tau_s)),

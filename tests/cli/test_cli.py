@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import foveate
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
@@ -72,6 +73,17 @@ def test_help_needs_no_jax_and_names_every_command() -> None:
     assert done.stdout.strip().endswith("False")
     for command in ("train", "evaluate", "plan", "fit", "replay", "render", "view", "export"):
         assert command in done.stdout
+
+
+def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["--help"], ["fit", "--help"]):
+        with pytest.raises(SystemExit, match="0"):
+            main(arguments)
+    both = capsys.readouterr().out
+    assert both.count("Derive a scenario from a recording") == 2
+    assert both.count("Taken from the recording: targets at once") == 1
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
 
 def test_run_folder_holds_what_it_promises(run: Path) -> None:

@@ -56,7 +56,7 @@ def plain():
 SOFT = TrainingSettings().protocol
 
 
-@pytest.mark.parametrize("segment", [1, 2, 5, 9])
+@pytest.mark.parametrize("segment", [2, 9])
 def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
     def last(w):
         return jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY, Back(segment=segment))[-1])

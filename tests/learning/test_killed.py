@@ -191,6 +191,15 @@ def test_a_process_that_is_really_killed(alone, tmp_path, monkeypatch):
     same_runs(run, alone)
 
 
+@pytest.fixture
+def by_keyboard():
+    """Ctrl-C as on a terminal: a suite that is started in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("by_keyboard")
 def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, capsys):
     run, config, kept = tmp_path / "run", tmp_path / "experiment.toml", training._keep
     config.write_text(dumps_toml(MODEL))
@@ -211,6 +220,7 @@ def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, 
     same_runs(run, alone)
 
 
+@pytest.mark.usefixtures("by_keyboard")
 def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
     run, config = tmp_path / "run", tmp_path / "experiment.toml"
     config.write_text(dumps_toml(MODEL))

@@ -1,6 +1,7 @@
 """`foveate`: the command line. Nothing heavy is imported before a command is chosen, so that help comes at once."""
 
 import functools
+import inspect
 import operator
 import sys
 from collections.abc import Sequence
@@ -8,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from foveate import __version__
 from foveate.cli.bench import Bench
 from foveate.cli.common import full_precision, keep_compiled
 from foveate.cli.evaluate import Evaluate
@@ -26,12 +28,15 @@ A run in three commands:
   foveate train --preset paper --out runs/first
   foveate evaluate runs/first --scenes table1
   foveate replay runs/first RECORDING.csv --out runs/first/replay
+
+foveate COMMAND --help explains each; --version prints the version. RUN may be a preset: its trained policy is here.
 """
 
 
-def _command(kind: type, name: str) -> Any:
-    # The first paragraph of a command's docstring stands in the list, the whole of it on the command's own page.
-    return Annotated[kind, tyro.conf.subcommand(name, description=kind.__doc__)]
+def _command(kind: type, name: str, is_asked: bool) -> Any:
+    """The command for tyro: with the first line of its docstring in the list, and all of it on its own page."""
+    text = inspect.cleandoc(kind.__doc__ or "")
+    return Annotated[kind, tyro.conf.subcommand(name, description=text if is_asked else text.splitlines()[0])]
 
 
 COMMANDS = {
@@ -50,7 +55,11 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
-    kinds = [_command(kind, name) for name, kind in COMMANDS.items()]
+    given = sys.argv[1:] if arguments is None else arguments
+    if list(given) == ["--version"]:
+        print(f"foveate {__version__}")
+        return 0
+    kinds = [_command(kind, name, is_asked=name in given[:1]) for name, kind in COMMANDS.items()]
     choice: Any = functools.reduce(operator.or_, kinds)
     try:
         command = tyro.cli(

@@ -65,11 +65,12 @@ class Render:
 
     def _chosen(self, known, name: str, moving: bool):
         """The scenes to draw. Raises ValueError for an id that is not there, and several in one moving picture."""
+        from foveate.configuration import suggestion
+
         by_id = {scene.id: scene for scene in known}
         for scene in self.scene:
             if scene not in by_id:
-                some = ", ".join(list(by_id)[:3])
-                raise ValueError(f"--scene {scene}: no such scene in {name}: expected one of {some}, ..")
+                raise ValueError(f"--scene {scene}: no such scene in {name}: {suggestion(scene, by_id)}")
         if moving and len(self.scene) > 1:
             raise ValueError("--scene: a moving picture shows one scene; name one, or choose .png")
         if self.scene:

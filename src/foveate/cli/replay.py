@@ -32,8 +32,9 @@ class Replay:
     """Where the agent starts [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording)."""
     starts: int = 1
     """Number of starts; with more than one they are drawn, alike for all methods, and means are printed."""
-    max_gap: float = 2.0
-    """Longest gap between two fixes over which a target counts as present [s]."""
+    max_gap: float | None = None
+    """Longest gap between two fixes over which a target counts as present [s] (default: 2 s, or three fixes of a slow
+    clock)."""
     gate: float | None = GATE
     """The filter refuses measurements that are farther from their prediction than this share of honest ones; None: it
     takes whatever comes. With the fifth in a row the target has really jumped, and its belief begins anew."""
@@ -53,6 +54,7 @@ class Replay:
 
         from foveate.cli.common import check_methods, check_output, check_seed
         from foveate.files import write_document
+        from foveate.motion_fit import default_max_gap_s
         from foveate.progress import Bar
         from foveate.recorded import load_recording, window
         from foveate.replay import VERSION, prepare_replay, replay, result, warnings_for
@@ -64,15 +66,16 @@ class Replay:
         check_seed(self.seed)
         experiment = experiment_of(self.run)
         recording = window(load_recording(self.recording), self.start, self.end)
+        gap_s = default_max_gap_s(recording) if self.max_gap is None else self.max_gap
         box = np.stack(recording.extent)
         policies = {name: policy_of(self.run, name, experiment, jnp.asarray(box, float)) for name in methods}
         starts = self._starts(recording, experiment)
         rows, films = [], {}
         with Bar("replaying", len(starts) * len(methods), "runs") as bar:
             for start in starts:
-                ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed, self.gate)
+                ready = prepare_replay(experiment.scenario, recording, start, gap_s, self.seed, self.gate)
                 if not rows:
-                    for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
+                    for line in warnings_for(experiment.scenario, recording, ready.slots, gap_s):
                         print(f"warning: {line}", file=sys.stderr)
                 for name in methods:
                     row, trace = replay(ready, name, policies[name])

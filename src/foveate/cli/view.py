@@ -29,8 +29,9 @@ class View:
     """Begin the recording here [s]."""
     end: float | None = None
     """End the recording here [s]."""
-    max_gap: float = 2.0
-    """Longest gap between two fixes over which a target of the recording counts as present [s]."""
+    max_gap: float | None = None
+    """Longest gap between two fixes over which a target of the recording counts as present [s] (default: 2 s, or three
+    fixes of a slow clock)."""
     port: int = 8080
     """Where to serve the page."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None
@@ -82,6 +83,7 @@ class View:
         return tuple(dict.fromkeys((self.method, *METHODS)))
 
     def _simulated(self, experiment: "Experiment") -> "Programme":
+        from foveate.configuration import suggestion
         from foveate.evaluation import prepare
         from foveate.film import Film, films
         from foveate.runs import policy_of, scenes_of
@@ -90,7 +92,7 @@ class View:
         name, known = scenes_of(self.scenes, self.scene_seed, experiment)
         by_id = {scene.id: scene for scene in known}
         if self.scene is not None and self.scene not in by_id:
-            raise ValueError(f"--scene {self.scene}: no such scene in {name}: expected {next(iter(by_id))}, say")
+            raise ValueError(f"--scene {self.scene}: no such scene in {name}: {suggestion(self.scene, by_id)}")
         first = (self.scene,) if self.scene is not None else ()
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
 
@@ -107,6 +109,7 @@ class View:
         import numpy as np
 
         from foveate.film import Film, film
+        from foveate.motion_fit import default_max_gap_s
         from foveate.recorded import load_recording, window
         from foveate.replay import default_agent_start, prepare_replay, replay, warnings_for
         from foveate.runs import policy_of
@@ -116,10 +119,11 @@ class View:
         if self.scene is not None:
             raise ValueError("--scene: a recording is one scene")
         recording = window(load_recording(self.recording), self.start, self.end)
+        gap_s = default_max_gap_s(recording) if self.max_gap is None else self.max_gap
         box = jnp.asarray(np.stack(recording.extent), float)
         start = default_agent_start(recording, experiment.scenario)
-        ready = prepare_replay(experiment.scenario, recording, start, self.max_gap, self.seed)
-        for line in warnings_for(experiment.scenario, recording, ready.slots, self.max_gap):
+        ready = prepare_replay(experiment.scenario, recording, start, gap_s, self.seed)
+        for line in warnings_for(experiment.scenario, recording, ready.slots, gap_s):
             print(f"warning: {line}", file=sys.stderr)
 
         def make(scene: str, method: str) -> Film:
