@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foveate.arrays import load_arrays
+from foveate.arrays import load_arrays, save_arrays
 from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_run
-from foveate.configuration import load_toml
+from foveate.configuration import digest, load_toml, read_toml
 from foveate.figures import read_checks
 from foveate.files import read_document
 from foveate.learning.judging import METRICS
+from foveate.learning.training import train
 from foveate.recorded import load_recording
 from foveate.replay import ReplayRow
 from foveate.scenes import read_scenes
@@ -52,6 +53,30 @@ def test_a_run_of_an_earlier_version(name):
     expected = json.loads((FORMATS / "decisions.json").read_text())[name]
     np.testing.assert_allclose(decision(FORMATS / name), expected, atol=1e-5)
     assert [check.epoch for check in read_checks(FORMATS / name / METRICS)] == [2, 4]
+
+
+def test_a_run_of_before_a_setting_was_there_goes_on_twice(tmp_path):
+    """Its config.toml keeps the digest that it had, and what is saved later goes by that, too."""
+    run, experiment = tmp_path / "run", RUNS["policy-gradient"]
+
+    def stop(check, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(experiment, run, seed=1, report=stop)
+    lines = (run / CONFIG).read_text().splitlines(keepends=True)
+    old = "".join(line for line in lines if not line.startswith(("jitter_m_s", "digest")))
+    (run / CONFIG).write_text(old)
+    stored, content = read_toml(Experiment, run / CONFIG)
+    assert stored == experiment
+    assert content != digest(experiment), "else nothing is tested"
+    for name, kind in ((BEST, "policy"), (LAST, "training")):
+        header, arrays = load_arrays(run / name, kind, VERSION)
+        save_arrays(run / name, arrays, {**{k: v for k, v in header.items() if k != "digest"}, "experiment": content})
+    for _ in range(2):
+        assert train(experiment, run, seed=1, resume=True).epochs == experiment.training.epochs
+        assert load_run(run)[0] == experiment
+    assert (run / CONFIG).read_text() == old
 
 
 def test_presets_scenes_recordings_and_results_of_an_earlier_version():

@@ -102,6 +102,19 @@ def test_each_step_has_its_own_matrices():
         np.testing.assert_allclose(tracker.mean[0], mean, rtol=1e-10, atol=1e-12)
 
 
+def test_what_is_no_pose_and_no_covariance_is_refused_and_changes_nothing():
+    tracker = Tracker(Scenario())
+    tracker.add("a", [1.0, 2.0])
+    for pose in ([np.nan, 0, 0], [0.0, 0.0], np.eye(3)):
+        with pytest.raises(ValueError, match="pose = "):
+            tracker.update(pose, {"b": [0.0, 1.0]})
+    with pytest.raises(ValueError, match="positive definite"):
+        tracker.add("c", [0.0, 0.0], -np.eye(2))
+    with pytest.raises(ValueError, match="known input of target 'a'"):
+        tracker.predict({"a": [1.0]})
+    assert (tracker.ids, tracker.step, list(tracker.unseen_s)) == (("a",), 0, [0.0])
+
+
 def test_looking_in_vain_is_what_the_simulation_makes_of_it():
     """A view over half of a belief that is not detected: as sampled, what is outside; a detected one is updated."""
     problem = Scenario(sensor=SensorSettings(absence="used")).problem()

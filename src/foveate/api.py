@@ -10,7 +10,7 @@ from typing import Literal
 from foveate.checks import seed_number
 from foveate.configuration import load_toml
 from foveate.policies import handmade
-from foveate.problem import Policy
+from foveate.problem import Policy, Problem
 from foveate.progress import train_watched
 from foveate.results import Evaluation, evaluate_all
 from foveate.runs import experiment_of, policy_of, scenes_of, with_initial_error
@@ -149,8 +149,21 @@ def _world_of(policy: TrainedPolicy | Policy | str | Path, scenario: Scenario | 
         if scenario is None:
             raise ValueError("scenario: expected the world of a policy that foveate did not train")
         return Experiment(scenario=scenario)
+    if not isinstance(policy, TrainedPolicy | str | Path):
+        raise ValueError(f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.problem.Policy")
     own = policy.experiment if isinstance(policy, TrainedPolicy) else experiment_of(policy)
-    return own if scenario is None else replace(own, scenario=scenario)
+    if scenario is None:
+        return own
+    now, new = (_shape_of(world.problem()) for world in (own.scenario, scenario))
+    if now != new:
+        raise ValueError(f"scenario: has {new}: expected {now}, as the policy was trained for")
+    return replace(own, scenario=scenario)
+
+
+def _shape_of(problem: Problem) -> str:
+    """What a policy's numbers in and out depend on."""
+    n_y, axes = problem.motion.state_size, len(problem.agent.axes)
+    return f"{problem.agent.space.dimension} dimensions, states of {n_y} numbers and {axes} of a command"
 
 
 def _name_of(policy: TrainedPolicy | Policy | str | Path) -> str:

@@ -21,13 +21,18 @@ LAST = Path("checkpoint") / "last.npz"
 T = TypeVar("T")
 
 
-def save_tree(path: Path, tree: Any, experiment: Experiment, kind: str, facts: dict[str, Any]) -> None:
-    """Write the arrays of a pytree with the digest of its experiment; `facts` is any JSON about it (epoch, score)."""
+def save_tree(
+    path: Path, tree: Any, experiment: Experiment, kind: str, facts: dict[str, Any], content: str | None = None
+) -> None:
+    """Write the arrays of a pytree with the digest of its experiment; `facts` is any JSON about it (epoch, score).
+
+    `content` is the digest of the config.toml beside it, where an older version has written that.
+    """
     header = {
         "format": f"foveate-{kind}",
         "version": VERSION,
         "foveate": __version__,
-        "experiment": digest(experiment),
+        "experiment": digest(experiment) if content is None else content,
         "facts": facts,
     }
     save_arrays(path, {name: np.asarray(leaf) for name, leaf in _named(tree).items()}, header)

@@ -11,7 +11,7 @@ from foveate.evaluation import Row, Suite, evaluate, prepare
 from foveate.pages import Table, html, text
 from foveate.problem import Policy
 from foveate.progress import Bar
-from foveate.scenes import Scene
+from foveate.scenes import Scene, scenes_digest
 from foveate.settings import Experiment
 from foveate.summary import Summary, summarise, write_result
 
@@ -79,6 +79,7 @@ def evaluate_all(
         **facts,
         "experiment": digest(experiment),
         "initial_error": experiment.scenario.scenes.initial_error,
+        "scenes_digest": scenes_digest(scenes),
         "seed": seed,
     }
     return Evaluation(

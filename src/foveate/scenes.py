@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from foveate.files import read_document, write_document
+from foveate.files import content_digest, read_document, write_document
 from foveate.geometry.space import Space
 from foveate.scenario import SceneSettings
 
@@ -38,6 +38,11 @@ class Scene:
 def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
     """Write a scenes file."""
     write_document(path, "scenes", VERSION, {"scenes": [asdict(scene) for scene in scenes]})
+
+
+def scenes_digest(scenes: Sequence[Scene]) -> str:
+    """What tells these scenes from all others."""
+    return content_digest([asdict(scene) for scene in scenes])[:16]
 
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:

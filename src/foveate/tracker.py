@@ -83,6 +83,8 @@ class Tracker:
             raise ValueError(f"target {target!r}: is tracked already")
         position = _checked(f"position of target {target!r}", position_world, (len(self._Z),))
         P = self._first if covariance is None else _checked("covariance", covariance, self._first.shape)
+        if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or np.linalg.eigvalsh(P)[0] <= 0:
+            raise ValueError(f"covariance = {P.tolist()}: expected a symmetric, positive definite matrix")
         self._begin(target, np.linalg.pinv(self._Z) @ position, P)
 
     def predict(self, known_inputs: Mapping[Hashable, ArrayLike] | None = None) -> tuple[Hashable, ...]:
@@ -92,12 +94,12 @@ class Tracker:
         """
         k = self.step % len(self._tau)
         A, B, W = self._A[k], self._B[k], self._W[k]
+        given, none = known_inputs or {}, np.zeros(B.shape[1])
+        pushes = {t: _checked(f"known input of target {t!r}", given.get(t, none), none.shape) for t in self.ids}
         self.unseen_s = self.unseen_s + self._tau[k]
         # An age is a sum of many tau: rounding must not make it older than it is.
         dropped = self._keep(self.unseen_s <= self._forget_after_s * (1 + 1e-9))
-        given, none = known_inputs or {}, np.zeros(B.shape[1])
-        rows = [_checked(f"known input of target {t!r}", given.get(t, none), none.shape) for t in self.ids]
-        self._known_input = np.array(rows).reshape(len(rows), len(none))
+        self._known_input = np.array([pushes[t] for t in self.ids]).reshape(len(self.ids), len(none))
         self.mean = self.mean @ A.T + self._known_input @ B.T
         self.covariance = A @ self.covariance @ A.T + W
         self.step += 1
@@ -106,9 +108,10 @@ class Tracker:
     def update(self, pose: ArrayLike, detections: Mapping[Hashable, ArrayLike]) -> Seen:
         """Correct by measurements z = H y in the world frame, by id, taken at this pose; unknown ids begin.
 
-        The pose is [x, y, yaw] or 4 x 4, body to world. Raises ValueError for a measurement of another length.
+        The pose is [x, y, yaw], or in space 4 x 4, body to world. Raises ValueError for a pose that is another or not
+        finite, and for a measurement of another length.
         """
-        pose = np.asarray(pose, float)
+        pose = _checked("pose", pose, (3,) if len(self._Z) == 2 else (4, 4))
         z_of = {target: np.asarray(z, float) for target, z in detections.items()}
         for target, z in z_of.items():
             if z.shape != (len(self._H),):

@@ -76,12 +76,17 @@ class TrainedPolicy:
         ValueError for a pose or belief of another kind of world.
         """
         left = self.steps_left if steps_left is None else steps_left
+        if left < 1 or left != int(left):
+            raise ValueError(f"steps_left = {steps_left}: expected a whole number >= 1")
         size = LEAST
         while size < len(belief.mean):
             size *= 2
         here = _pose(self.problem.agent.space, pose)
         seen = observation(belief, self.problem, here, left, size)
-        return np.array(_decide(self.network, self.problem.agent, seen))
+        command = np.array(_decide(self.network, self.problem.agent, seen))
+        if not np.isfinite(command).all():
+            raise ValueError("belief, pose: expected numbers that float32 can hold, also squared: there is no decision")
+        return command
 
     def export(self, path: str | Path) -> None:
         """Write it as an ONNX file, for a robot without JAX (extra `onnx`), as `foveate export`."""

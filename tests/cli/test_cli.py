@@ -204,6 +204,9 @@ def test_wrong_input_is_one_line(
     assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(run / "config.toml"))
     assert "no folder" in failure(capsys, "evaluate", str(run), "--json", str(tmp_path / "no" / "x.json"))
     assert "--scene-seed -1" in failure(capsys, "evaluate", str(run), "--scene-seed", "-1")
+    twice = ("--method", "still", "--method", "random")
+    assert "--method: is given twice" in failure(capsys, "evaluate", str(run), *twice)
+    assert "--seed and --resume" in failure(capsys, "train", "--resume", str(run), "--seed", "5")
     assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
 
 

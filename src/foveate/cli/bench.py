@@ -52,6 +52,9 @@ class Bench:
             raise ValueError(f"--tolerance {self.tolerance}: expected > 0")
         before = None if self.baseline is None else read_ratios(self.baseline)
         metrics, ratios = self._measure()
+        if self.json is not None:
+            told = [{**asdict(metric), "ratio": ratios[metric.key]} for metric in metrics]
+            write_json(self.json, {"machine": machine(), "repeats": self._repeats, "metrics": told})
         worse = {} if before is None else regressions(metrics, ratios, before, self.tolerance)
         rows = [
             (
@@ -59,7 +62,7 @@ class Bench:
                 metric.unit,
                 f"{metric.value:.4g}",
                 f"{ratios[metric.key]:.4g}",
-                "" if before is None or metric.key not in before else f"{ratios[metric.key] / before[metric.key]:.2f}",
+                "" if not (then := (before or {}).get(metric.key)) else f"{ratios[metric.key] / then:.2f}",
                 metric.better,
                 f"{metric.spread:.0%}{' wide' * metric.is_wide}",
             )
@@ -68,9 +71,6 @@ class Bench:
         header = ("metric", "unit", "value", "ratio", "over baseline", "better", "spread")
         print_table(f"{machine()}: medians of {self._repeats} repeats", header, rows)
         self._warn(metrics, before)
-        if self.json is not None:
-            told = [{**asdict(metric), "ratio": ratios[metric.key]} for metric in metrics]
-            write_json(self.json, {"machine": machine(), "repeats": self._repeats, "metrics": told})
         for key, factor in worse.items():
             print(f"worse than the baseline: {key} by a factor of {factor:.2f}")
         return 1 if worse else 0

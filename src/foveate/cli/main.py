@@ -53,6 +53,13 @@ COMMANDS = {
 }
 
 
+def _refuse_repeated(arguments: Sequence[str]) -> None:
+    """Raise ValueError where an option is given twice: the parser would take the last and say nothing."""
+    names = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"{twice[0]}: is given twice: expected once, with all of its values behind it")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
     given = sys.argv[1:] if arguments is None else arguments
@@ -65,6 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = tyro.cli(
             choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
         )
+        _refuse_repeated(given)
         keep_compiled()
         full_precision()
         return command.run_command()

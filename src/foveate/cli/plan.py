@@ -69,6 +69,7 @@ class Plan:
         from foveate.progress import Bar
         from foveate.results import summary_table
         from foveate.runs import scenes_of
+        from foveate.scenes import scenes_digest
         from foveate.summary import summarise, write_result
 
         check_output(self.json, *([self.scenes] if self.scenes else []))
@@ -88,9 +89,10 @@ class Plan:
         table = summary_table(title, summary)
         print_table(table.title, table.header, table.rows)
         if self.json is not None:
-            write_result(
-                self.json, rows, summary, {"scenes": chosen, "experiment": digest(experiment), "seed": self.seed}
-            )
+            facts = {"scenes": chosen, "scenes_digest": scenes_digest(scenes), "experiment": digest(experiment)}
+            names = ("seed", "scene_seed", "run", "refine", "starts", "iterations", "window", "omniscient", "open_loop")
+            asked = {name: str(value) if isinstance(value := getattr(self, name), Path) else value for name in names}
+            write_result(self.json, rows, summary, {**facts, **asked})
         return 0
 
     def _check_options(self) -> None:

@@ -84,7 +84,8 @@ class Replay:
                         films[name] = (ready, trace)
                     bar.update(len(rows), name)
         self._print(rows, methods)
-        facts = {"run": self.run, "recording": self.recording.name, "seed": self.seed}
+        facts = {"run": self.run, "recording": self.recording.name, "seed": self.seed, "gate": self.gate}
+        facts |= {"start_s": self.start, "end_s": self.end, "max_gap_s": gap_s, "starts": starts}
         document = result(rows, experiment, recording, facts)
         if self.json is not None:
             write_document(self.json, "replay", VERSION, document)

@@ -104,7 +104,7 @@ class Train:
         if self.resume is not None:
             self._refuse_with_resume()
             experiment, seed = stored_run(self.resume)
-            out = self._folder()
+            experiment, out = self._for_long_horizons(experiment), self._folder()
         else:
             experiment, seed, out = self._experiment(), self.seed, self._folder()
         outcome = self._train(experiment, out, seed)
@@ -130,6 +130,8 @@ class Train:
         for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out", "window", "remat"):
             if getattr(self, name) not in (None, False):
                 raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
+        if self.seed != 0:
+            raise ValueError("--seed and --resume: a run goes on with the seed it began with")
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
         """Train, and say how to go on where it is interrupted or fails."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from foveate.checkpoint import CONFIG
 from foveate.files import LOCK, sole_writer
 from foveate.learning import ppo, training
 from foveate.learning.judging import Check, Outcome, require_free
@@ -24,17 +25,18 @@ def train(
     by_ppo = isinstance(experiment.training, PPOSettings)
     if resume and by_ppo:
         raise ValueError(f"{out}: PPO cannot go on where it was: train it anew")
-    made = not out.exists()
+    if resume and not (out / CONFIG).exists():
+        raise ValueError(f"{out}: holds no training to go on with: begin one there")
     if not resume:
         require_free(out, experiment)
         out.mkdir(parents=True, exist_ok=True)
-    try:
-        with sole_writer(out):
+    with sole_writer(out):
+        try:
             if by_ppo:
                 return ppo.train(experiment, out, seed, report)
             return training.train(experiment, out, seed, resume, report)
-    except ValueError:
-        if made and [path.name for path in out.iterdir()] == [LOCK]:  # refused before anything was written
-            (out / LOCK).unlink()
-            out.rmdir()
-        raise
+        except ValueError:
+            if [path.name for path in out.iterdir()] == [LOCK]:  # refused before anything was written
+                (out / LOCK).unlink()
+                out.rmdir()
+            raise

@@ -70,9 +70,9 @@ def train(
     zero = jnp.zeros((), int)
     progress = Progress(learner, learner, jnp.array(-jnp.inf), zero, zero, zero)
     episodes = held_out_episodes(experiment, problem, keys[1])
-    elapsed = 0.0
+    elapsed, content = 0.0, None
     if resume:
-        progress, elapsed = _resumed(out, experiment, seed, progress)
+        progress, elapsed, content = _resumed(out, experiment, seed, progress)
     else:
         save_tree(out / LAST, progress, experiment, "training", {"seed": seed, "epoch": 0, "elapsed_s": 0.0})
         write_config(out, experiment)
@@ -100,7 +100,7 @@ def train(
                 event=event,
                 env_steps=round(int(learner.epoch) * training.episodes * experiment.scenario.scenes.mean_horizon),
             )
-            _keep(out, experiment, seed, progress, check, events)
+            _keep(out, experiment, seed, progress, check, events, content)
             report(check, training.epochs)
     return Outcome(
         epochs=int(progress.learner.epoch),
@@ -191,7 +191,8 @@ def stored_run(run: Path) -> tuple[Experiment, int]:
     return experiment, int(header["facts"]["seed"])
 
 
-def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tuple[Progress, float]:
+def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tuple[Progress, float, str]:
+    """Where a training was, how long it took so far, and the digest of its config.toml."""
     stored, content = read_toml(Experiment, out / CONFIG)
     if stored != experiment:
         raise ValueError(f"{out}: was begun with another experiment: expected that of its {CONFIG}")
@@ -202,7 +203,7 @@ def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tu
     epochs = [_epoch_of(out, lines, i) for i in range(len(lines))]
     kept = [line for line, epoch in zip(lines, epochs, strict=True) if epoch <= int(progress.learner.epoch)]
     write_atomic(out / METRICS, "".join(f"{line}\n" for line in kept).encode())
-    return progress, float(facts["elapsed_s"])
+    return progress, float(facts["elapsed_s"]), content
 
 
 def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
@@ -215,12 +216,14 @@ def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
         return float("inf")
 
 
-def _keep(out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Events) -> None:
+def _keep(
+    out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Events, content: str | None
+) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
         # No time in it: the same experiment and seed give the same file.
         best = {"seed": seed, "epoch": check.epoch, "held_out": check.held_out}
-        save_tree(out / BEST, progress.best.policy, experiment, "policy", best)
+        save_tree(out / BEST, progress.best.policy, experiment, "policy", best, content)
     # The last file decides how far the training is: killed before it is there, all that was written is written again.
     write_check(out, check, events)
-    save_tree(out / LAST, progress, experiment, "training", facts)
+    save_tree(out / LAST, progress, experiment, "training", facts, content)
