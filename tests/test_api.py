@@ -277,9 +277,9 @@ def test_an_evaluation_that_cannot_be_is_refused(options: dict, complaint: str) 
 def test_a_policy_of_another_kind_of_world_is_refused() -> None:
     with pytest.raises(ValueError, match="scenario: has 3 dimensions, states of 6 numbers and 4 of a command"):
         foveate.evaluate(untrained(PLANE), scenario=QUADROTOR)
-    policy, belief = untrained(PLANE), foveate.Belief([[1e39, 0.0]], covariance=np.eye(2))
+    belief = foveate.Belief([[1e39, 0.0]], covariance=np.eye(2))
     with jax.enable_x64(False), np.errstate(over="ignore"), pytest.raises(ValueError, match="float32 can hold"):
-        policy(belief, [0.0, 0.0, 0.0])
+        untrained(PLANE)(belief, [0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="steps_left = 0"):
         untrained(PLANE)(foveate.Belief([[1.0, 0.0]], covariance=np.eye(2)), [0.0, 0.0, 0.0], steps_left=0)
 
