@@ -24,9 +24,9 @@ from foveate.environment import Environment
 from foveate.episodes import own_suite, scene_episodes, training_episode
 from foveate.evaluation import prepare, simulate
 from foveate.learner_settings import TrainingSettings
+from foveate.learning.batch import Batch, Programs
 from foveate.learning.policy_gradient import begin, epoch, epochs
 from foveate.learning.training import train
-from foveate.learning.vec_env import Batch, Programs
 from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.attention import AttentionPolicy
