@@ -190,12 +190,13 @@ def arguments(rng: np.random.Generator) -> list[str]:
     return said
 
 
-def light() -> contextlib.ExitStack:
+@contextlib.contextmanager
+def light() -> Iterator[None]:
     """Commands that end where their work would begin."""
-    stack = contextlib.ExitStack()
-    for place in HEAVY:
-        stack.enter_context(mock.patch(f"foveate.{place}", side_effect=ValueError("its work would begin here")))
-    return stack
+    with contextlib.ExitStack() as stack:
+        for place in HEAVY:
+            stack.enter_context(mock.patch(f"foveate.{place}", side_effect=ValueError("its work would begin here")))
+        yield
 
 
 def require(holds: bool, what: str) -> None:

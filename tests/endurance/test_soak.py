@@ -43,5 +43,6 @@ def test_the_live_view_forgets_who_has_left(tmp_path):
                 player.tick(0.1)
             wait_for(lambda: not server.get_clients())
             counts.append((threading.active_count(), len(os.listdir("/proc/self/fd"))))
-        assert counts[-1][0] <= counts[4][0], "threads"
+        # A server's own pool may still begin a thread late; what fifteen more visits leak, they leak fifteen times.
+        assert counts[-1][0] <= counts[4][0] + 2, "threads"
         assert counts[-1][1] <= counts[4][1] + 2, "open files"
