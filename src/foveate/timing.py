@@ -6,7 +6,6 @@ the same run: how many of the machine's own large matrix products, or of its own
 
 import contextlib
 import functools
-import resource
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -116,5 +115,7 @@ def peak_memory_mib() -> float:
     facts = jax.local_devices()[0].memory_stats()
     if facts and "peak_bytes_in_use" in facts:
         return facts["peak_bytes_in_use"] / 2**20
+    import resource  # which Windows does not have
+
     unit = 1 if sys.platform == "darwin" else 1024  # getrusage counts bytes there, KiB elsewhere
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20

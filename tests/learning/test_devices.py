@@ -27,9 +27,9 @@ from foveate.settings import Experiment, TrainingSettings
 TINY = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4)),
     policy=AttentionSettings(agent_widths=(4,), target_widths=(4,), out_widths=(4,)),
-    training=TrainingSettings(epochs=20, episodes=11, held_out=4, check_every=20),
+    training=TrainingSettings(epochs=20, episodes=11, held_out=4, check_every=20, together=2),
 )
-"""11 episodes: neither 8 devices nor 2 processes share them evenly."""
+"""11 episodes, 2 at once: neither 8 devices nor 2 processes share them evenly."""
 PATIENCE_S = 240
 
 
@@ -65,7 +65,7 @@ def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(one[name], other[name], rtol=1e-6, atol=1e-8, err_msg=name)
 
 
-def test_eight_devices_learn_what_one_does(tmp_path):
+def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
     eight = "--xla_force_host_platform_device_count=8"
     with started(TINY, tmp_path / "eight", flags=eight) as process:
         precisions = []
@@ -77,8 +77,24 @@ def test_eight_devices_learn_what_one_does(tmp_path):
         assert precisions == ["highest"], "on an accelerator, too"
         _, complaint = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, complaint
-    assert arrays(tmp_path / "eight" / "run")[0] == 20
-    same(arrays(tmp_path / "one")[1], arrays(tmp_path / "eight" / "run")[1])
+    epoch, learned = arrays(tmp_path / "eight" / "run")
+    assert epoch == 20
+    for name, array in arrays(tmp_path / "one")[1].items():
+        np.testing.assert_array_equal(learned[name], array, err_msg=name)
+
+
+def test_cores_are_devices_where_nobody_has_said_otherwise():
+    """In processes of their own: JAX looks once."""
+    code = "from foveate.learning.devices import use_cores; use_cores(); import jax; print(jax.device_count())"
+    cores = len(os.sched_getaffinity(0))
+    for places, expected in (
+        ({"XLA_FLAGS": "", "JAX_NUM_CPU_DEVICES": ""}, cores),
+        ({"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_NUM_CPU_DEVICES": ""}, 3),
+        ({"XLA_FLAGS": "", "JAX_NUM_CPU_DEVICES": "5"}, 5),
+    ):
+        own = {name: value for name, value in {**os.environ, **places}.items() if value}
+        done = subprocess.run([sys.executable, "-c", code], env=own, capture_output=True, text=True, check=True)
+        assert int(done.stdout) == expected
 
 
 def free_port() -> int:

@@ -86,6 +86,9 @@ class Bench:
 
         # So that compilation is what is timed. Before the first array is made, since JAX looks once.
         jax.config.update("jax_enable_compilation_cache", False)
+        from foveate.learning.devices import use_cores
+
+        use_cores()
         from foveate.benchmarks import measurements
         from foveate.progress import Bar
         from foveate.timing import Metric, measure_yardsticks, spread

@@ -72,7 +72,9 @@ class Train:
         check_seed(self.seed)
         if self.coordinator is not None or self.processes is not None or self.process_id is not None:
             self._join()
-        from foveate.learning.devices import ProcessLost
+        from foveate.learning.devices import ProcessLost, use_cores
+
+        use_cores()
 
         try:
             return self._run()

@@ -5,6 +5,8 @@ of them know all of the learner, and one of them writes it down.
 """
 
 import contextlib
+import math
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -21,11 +23,40 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 AXIS = "episodes"
 HEARTBEAT_S = 20
 """A process that was silent for so long [s] is lost."""
+TOGETHER = {"cpu": 32}
+"""Episodes that a device works on at once where nothing else is asked for: on a CPU what a core's cache holds."""
+OTHERWISE = 16384
+"""The same on an accelerator."""
 T = TypeVar("T")
 
 
 class ProcessLost(Exception):
     """Another process of this training is gone."""
+
+
+def use_cores() -> None:
+    """On a CPU, let every core be a device of its own: a training's programs are too small to be shared by two.
+
+    To be called before JAX does anything; without effect later. Whoever has said how many devices there are
+    (JAX_NUM_CPU_DEVICES, or in XLA_FLAGS) is not overruled.
+    """
+    if jax.config.values["jax_num_cpu_devices"] < 0 and "host_platform_device_count" not in os.environ.get(
+        "XLA_FLAGS", ""
+    ):
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        with contextlib.suppress(RuntimeError):  # JAX's word for "later"
+            jax.config.update("jax_num_cpu_devices", cores)
+
+
+def shared_out(episodes: int, together: int | None = None) -> tuple[int, int]:
+    """How many devices work on a batch, and on how many episodes each at once, at most `together`.
+
+    On the cores of one machine the latter does not depend on how many there are, so that numbers do not, either.
+    """
+    size, devices = together or TOGETHER.get(jax.default_backend(), OTHERWISE), jax.device_count()
+    if jax.default_backend() == "cpu" and jax.process_count() == 1:
+        return min(devices, math.ceil(episodes / size)), size
+    return devices, min(size, math.ceil(episodes / devices))
 
 
 def join(coordinator: str, processes: int | None, process_id: int | None) -> None:
@@ -44,23 +75,23 @@ def join(coordinator: str, processes: int | None, process_id: int | None) -> Non
         raise ValueError(f"--coordinator {coordinator}: {str(error).splitlines()[0]}") from error
 
 
-def mesh() -> Mesh:
-    """All devices of all processes in a row."""
-    return jax.make_mesh((jax.device_count(),), (AXIS,), axis_types=(AxisType.Auto,))
+def mesh(devices: int) -> Mesh:
+    """So many devices in a row: the first of this machine, or all of all processes."""
+    return jax.make_mesh((devices,), (AXIS,), axis_types=(AxisType.Auto,), devices=jax.devices()[:devices])
 
 
-def on_all(program: Callable[..., T]) -> Callable[..., T]:
-    """A compiled program whose arguments, the same in every process, are put on all devices, and whose results are
-    taken from one of this process. The program itself where there is but one device.
+def on_all(program: Callable[..., T], devices: int) -> Callable[..., T]:
+    """A compiled program whose arguments, the same in every process, are put on so many devices, and whose results
+    are taken from one of this process. The program itself where there is but one device.
 
     Raises ProcessLost where another process is gone.
     """
-    if jax.device_count() == 1:
+    if devices == 1:
         return program
 
     def run(*arguments: Any) -> T:
         try:
-            return jax.block_until_ready(_here(program(*_everywhere(arguments))))
+            return jax.block_until_ready(_here(program(*_everywhere(arguments, mesh(devices)))))
         except jax.errors.JaxRuntimeError as error:
             if jax.process_count() == 1:
                 raise
@@ -69,8 +100,8 @@ def on_all(program: Callable[..., T]) -> Callable[..., T]:
     return run
 
 
-def _everywhere(tree: Any) -> Any:
-    place = NamedSharding(mesh(), PartitionSpec())
+def _everywhere(tree: Any, mesh: Mesh) -> Any:
+    place = NamedSharding(mesh, PartitionSpec())
 
     def put(x: Any) -> Any:
         if not eqx.is_array(x):

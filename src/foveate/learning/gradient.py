@@ -14,12 +14,8 @@ import numpy as np
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PyTree
 
-from foveate.learning.devices import AXIS, mesh
+from foveate.learning.devices import AXIS, mesh, shared_out
 from foveate.types import Scalar
-
-TOGETHER = {"cpu": 64}
-"""Episodes of a micro-batch where nothing else is asked for: what a cache holds; on accelerators OTHERWISE."""
-OTHERWISE = 16384
 
 Cost = Callable[[Any, Any], Scalar]
 """What an episode costs under these parameters; the second argument is all that differs between episodes."""
@@ -30,41 +26,43 @@ def mean_and_gradient(
 ) -> tuple[Scalar, PyTree]:
     """The mean of `cost` over the leading axis of `episodes`, and its gradient with respect to `parameters`.
 
-    At most `together` episodes are worked on at once by each device. How a batch is cut up changes rounding only.
+    At most `together` episodes are worked on at once by each device. How a batch is cut up changes rounding only; cut
+    up alike, it gives the same numbers on any number of devices.
     """
-    count, devices = len(jax.tree.leaves(episodes)[0]), jax.device_count()
-    share = math.ceil(count / devices)
-    parts = math.ceil(share / (together or TOGETHER.get(jax.default_backend(), OTHERWISE)))
-    if devices == parts == 1:
-        return jax.value_and_grad(lambda p: jnp.mean(jax.vmap(cost, (None, 0))(p, episodes)))(parameters)
-    size = math.ceil(share / parts)
-    row = np.arange(devices * parts * size).reshape(devices * parts, size)
+    count = len(jax.tree.leaves(episodes)[0])
+    devices, most = shared_out(count, together)
+    parts = math.ceil(count / most)
+    size, rounds = math.ceil(count / parts), math.ceil(parts / devices)
+    row = np.arange(rounds * devices * size).reshape(rounds, devices, size)
     # What is left over is filled up with episodes that count nothing.
     cut = jax.tree.map(lambda x: x[np.minimum(row, count - 1)], episodes)
     weight = jnp.asarray(row < count, float) / count
     if devices == 1:
-        return _in_turn(cost, parameters, cut, weight)
+        return _in_turn(cost, parameters, cut, weight, lambda one: jax.tree.map(lambda x: x[None], one))
 
     def on_one(parameters, cut, weight):
-        return jax.lax.psum(_in_turn(cost, parameters, cut, weight), AXIS)
+        return _in_turn(cost, parameters, cut, weight, lambda one: jax.lax.all_gather(one, AXIS))
 
-    spread = PartitionSpec(AXIS)
+    spread = PartitionSpec(None, AXIS)
     return jax.shard_map(
         on_one,
-        mesh=mesh(),
+        mesh=mesh(devices),
         in_specs=(PartitionSpec(), spread, spread),
         out_specs=PartitionSpec(),
-        check_vma=False,  # what is summed over devices is summed above, by hand
+        check_vma=False,  # what every device has gathered is the same in all of them
     )(parameters, cut, weight)
 
 
-def _in_turn(cost: Cost, parameters: PyTree, cut: PyTree, weight: Float[Array, "parts size"]) -> tuple[Scalar, PyTree]:
-    """The weighted sum of costs and its gradient, one part after the other."""
+def _in_turn(
+    cost: Cost, parameters: PyTree, cut: PyTree, weight: Float[Array, "rounds 1 size"], gather: Callable
+) -> tuple[Scalar, PyTree]:
+    """The weighted sum of costs and its gradient, a round after the other: in each, one part on every device."""
 
-    def part(total, one):
-        episodes, weight = one
+    def one_round(total, part):
+        episodes, weight = jax.tree.map(lambda x: x[0], part)
         found = jax.value_and_grad(lambda p: jnp.sum(weight * jax.vmap(cost, (None, 0))(p, episodes)))(parameters)
-        return jax.tree.map(jnp.add, total, found), None
+        # One after the other, so that the sum does not depend on how many are found at once.
+        return jax.lax.scan(lambda total, one: (jax.tree.map(jnp.add, total, one), None), total, gather(found))[0], None
 
     nothing = jnp.zeros((), weight.dtype), jax.tree.map(jnp.zeros_like, parameters)
-    return jax.lax.scan(part, nothing, (cut, weight))[0]
+    return jax.lax.scan(one_round, nothing, (cut, weight))[0]
