@@ -23,7 +23,7 @@ help:
 	@echo 'make docs    install what documentation is made with, then build it, with broken links refused, into site/'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
 	@echo 'make package the same installation, then wheel and sdist into dist/'
-	@echo 'make coverage  the tests, and how many lines of each file they reach'
+	@echo 'make coverage  the tests in a random order, and how many lines of each file they reach'
 	@echo 'make fuzz    100,000 hostile inputs; make kill: 40 trainings killed; make soak: an hour of a robot, in its own time'
 	@echo 'make audit   look up the pinned dependencies in lists of known vulnerabilities'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
@@ -61,9 +61,10 @@ package: $(VENV)/.stamp-dev
 	@echo '== package: dist/'
 	@$(BIN)/python -m hatchling build
 
-coverage: $(VENV)/.stamp-dev
-	@echo '== coverage: pytest, two at a time'
-	@$(BIN)/python -m pytest -n 2 --cov=foveate --cov-report=json --cov-report=term:skip-covered $(PYTEST_ARGS)
+# In an order that is another one every time; the seed that is printed repeats it (PYTEST_ARGS="--shuffle SEED").
+coverage: SHUFFLE := $(shell od -An -N2 -tu2 /dev/urandom | tr -d ' ')
+coverage:
+	@$(MAKE) test PYTEST_ARGS='--shuffle $(SHUFFLE) --cov --cov-report=json --cov-report=term:skip-covered $(PYTEST_ARGS)'
 	@$(BIN)/python .ci/coverage.py
 
 fuzz: $(VENV)/.stamp-dev

@@ -20,6 +20,11 @@ def pytest_addoption(parser):
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run files, and the tests in each, in another order")
 
 
+def pytest_report_header(config):
+    seed = config.getoption("--shuffle")
+    return None if seed is None else f"order: --shuffle {seed}"
+
+
 def pytest_collection_modifyitems(config, items):
     """Files stay together: what is made for all tests of one is made once."""
     seed = config.getoption("--shuffle")

@@ -1,5 +1,7 @@
 """What the benchmark's numbers mean; how large they are is no test's business."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from foveate import benchmarks
 from foveate.benchmarks import dense_products, least_operations, real_steps, training_step
+from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario import Scenario, SceneSettings
 from foveate.settings import PRESETS, Experiment, TrainingSettings
@@ -51,6 +54,38 @@ def test_environments_are_stepped(monkeypatch):
     (metric,) = benchmarks.environments(TINY, 1)
     assert metric.key == "env_steps_per_s_2"
     assert metric.value > 0
+
+
+def test_what_is_simulated_and_planned_is_counted(monkeypatch):
+    five = replace(TINY, scenario=Scenario(scenes=SceneSettings(targets_min=5, targets_max=5, steps=2)))
+    monkeypatch.setattr(benchmarks, "ENVIRONMENTS", 2)
+    monkeypatch.setattr(benchmarks, "PLANNED_SCENES", 1)
+    monkeypatch.setattr(benchmarks, "OMNISCIENT", {"true": PlanSettings(starts=1, iterations=1)})
+    found = {metric.key: metric.value for metric in benchmarks.simulation(five, 1)}
+    per_episode = found["evaluation_target_steps_per_s"] / found["evaluation_episodes_per_s"]
+    assert per_episode == pytest.approx(5 * 2)
+    assert found["rollout_target_steps_per_s"] > 0
+    (planned,) = benchmarks.planning(five, 1)
+    assert (planned.key, planned.better) == ("planner_scenes_per_s", "higher")
+    assert planned.value > 0
+
+
+def test_the_second_of_two_processes_finds_what_the_first_compiled(monkeypatch):
+    said = []
+    monkeypatch.setattr(benchmarks, "_process", lambda *words, cache=None: said.append((words, cache)))
+    cold, warm = benchmarks.whole_process()
+    assert (cold.key, warm.key) == ("train_process_cold_s", "train_process_warm_s")
+    (first, cache), (second, same) = said
+    assert cache == same is not None
+    assert first[-1] != second[-1], "another run folder"
+    assert "paper" in first
+
+
+def test_starting_is_timed_in_processes_of_its_own(monkeypatch):
+    said = []
+    monkeypatch.setattr(benchmarks, "_process", lambda *words: said.append(words))
+    assert [metric.key for metric in benchmarks.starting(9)] == ["help_s", "import_s"]
+    assert len(said) == 2 * (5 + 1), "no more than five, and a warm-up"
 
 
 def test_a_training_compiles_nothing_after_its_first_check(monkeypatch):

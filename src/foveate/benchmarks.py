@@ -34,7 +34,7 @@ from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.attention import AttentionPolicy
 from foveate.policies.inputs import told
-from foveate.problem import Observation, Policy, Problem
+from foveate.problem import Episode, Observation, Policy, Problem, first_information
 from foveate.rollout import PROTOCOLS, SURROGATE, rollout
 from foveate.scenario import SceneSettings
 from foveate.settings import PRESETS, Experiment
@@ -291,12 +291,16 @@ def planning(experiment: Experiment, repeats: int) -> list[Metric]:
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
     scenes = [scene for scene in own_suite(settings, problem) if len(scene.targets) == 5][:PLANNED_SCENES]
     episodes = scene_episodes(problem, settings, scenes, seed=0, episodes=1)
-    assert episodes.truth is not None, "scene_episodes always draws the truth"
-    information = jnp.broadcast_to(problem.prior_information, (*episodes.mean.shape, episodes.mean.shape[-1]))
-    futures = Future(episodes.pose, episodes.truth.state[:, 1:], information, episodes.present, episodes.horizon)
     keys = jax.random.split(jax.random.key(0), len(scenes))
-    solve = jax.jit(jax.vmap(lambda future, key: plan(problem, future, OMNISCIENT["true"], key).score))
-    seconds = in_turn([lambda: solve(futures, keys)], repeats)[:, 0]
+
+    def solve(episode: Episode, key: jax.Array) -> jax.Array:
+        assert episode.truth is not None, "scene_episodes always draws the truth"
+        information = first_information(problem, len(episode.mean))
+        future = Future(episode.pose, episode.truth.state[1:], information, episode.present, episode.horizon)
+        return plan(problem, future, OMNISCIENT["true"], key).score
+
+    program = jax.jit(jax.vmap(solve))
+    seconds = in_turn([lambda: program(episodes, keys)], repeats)[:, 0]
     rate = len(scenes) / float(np.median(seconds))
     return [
         Metric(

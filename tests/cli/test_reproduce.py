@@ -8,13 +8,15 @@ from pathlib import Path
 import pytest
 from test_cli import check_contract, failure
 
-from foveate import closeness, study
+from foveate import closeness, publication, study
 from foveate.cli.main import main
+from foveate.comparison import compare
 from foveate.episodes import suite
 from foveate.methods import Fixed, Learned, Training
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.handmade import handmade
+from foveate.reproduction import reproduce
 from foveate.settings import PRESETS
 
 OWN = Path(__file__).parents[2] / "examples" / "own_method.py"
@@ -104,6 +106,27 @@ def test_reproduce_for_the_true_view(
     assert (out / "robustness.png").read_bytes().startswith(b"\x89PNG")
     assert len(list((out / "units").glob("*.json"))) == 1 + 3 * 2 + 2
     check_contract("evaluate", out / "table.json")
+    _check_moving_pictures(out, data["rows"], monkeypatch)
+
+
+def _check_moving_pictures(out: Path, rows: list[dict], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is no quick look, the best and the worst scene of each cell are filmed."""
+    filmed: dict[str, str] = {}
+    monkeypatch.setattr(publication, "animate", lambda film, path: filmed.update({path.name: film.title.split(", ")[1]}))
+    asked = study.true_view_study(True)
+    bench = study.bench_of(asked, "paper")
+    results = reproduce(asked, out, lambda *_: None, lambda *_: None)
+    parts = [part for part in results.parts if part.initial_error == "paper"]
+    lowest = closeness.floors(bench.suite.problem, bench.suite.scenes)
+    publication._episodes(asked, bench, out, compare(parts, asked.reference, lowest, 2))
+    for motion in ("unbiased", "biased"):
+        told = {
+            row["scene"]: row["score"]
+            for row in rows
+            if (row["method"], row["motion"], row["initial_error"]) == (study.TRUE_VIEW, motion, "paper")
+        }
+        assert told[filmed[f"3-{motion}-easy.gif"]] == max(told.values())
+        assert told[filmed[f"3-{motion}-hard.gif"]] == min(told.values())
 
 
 def _check_data(data: dict) -> None:

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
+from foveate.cli.options import option
 
 if TYPE_CHECKING:
     from foveate.timing import Metric
@@ -31,11 +31,11 @@ class Bench:
     """Few repeats, and no whole training: a minute or two."""
     episodes: tuple[int, ...] = (60, 1024)
     """Episodes of the training steps that are measured; on a GPU up to a million."""
-    baseline: Annotated[Path | None, tyro.conf.arg(metavar="FILE.json")] = None
+    baseline: Annotated[Path | None, option("FILE.json")] = None
     """Report of an earlier run to be compared with."""
     tolerance: float = 0.5
     """By what share a ratio may be worse than in the baseline."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    json: Annotated[Path | None, option("FILE")] = None
     """Write the metrics for programs."""
 
     def run_command(self) -> int:

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from foveate.cli.options import option
+
 
 @dataclass(kw_only=True)
 class Evaluate:
@@ -15,9 +17,9 @@ class Evaluate:
     that really runs; information only from real measurements. Every method gets the same scenes and the same noise.
     """
 
-    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
     """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
-    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file; or table1, the paper's six cells of 30 scenes; or own, 30 scenes for each of three numbers of
     targets from the scenario's own distribution, none of which trained it (default: table1 in the plane, own in
     space)."""
@@ -31,15 +33,15 @@ class Evaluate:
     """Noise draws per scene."""
     seed: int = 0
     """Seed of the noise."""
-    initial_error: Literal["paper", "consistent"] | None = None
+    initial_error: Annotated[Literal["paper", "consistent"] | None, option("paper|consistent")] = None
     """How far first means are off: as a measurement is (paper: less than the belief claims), or as the first belief
     claims (consistent; default: as the scenario says)."""
     closeness: bool = False
     """Say how far each score gets from never seeing anything (0) to the omniscient planner (1). Its plans take about
     100 s for table1 on 2 cores, once: they are kept in the user's cache folder."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    json: Annotated[Path | None, option("FILE")] = None
     """Write rows and summary for programs."""
-    write_scenes: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    write_scenes: Annotated[Path | None, option("FILE")] = None
     """Write the scenes that were run as a scenes file."""
 
     def run_command(self) -> int:

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import tyro
 
+from foveate.cli.options import option
+
 
 @dataclass(kw_only=True)
 class Export:
@@ -15,9 +17,9 @@ class Export:
     and rad/s. Its metadata say what goes in and comes out. examples/run_onnx.py runs it with numpy and onnxruntime.
     """
 
-    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
     """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
-    out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.onnx")]
+    out: Annotated[tyro.conf.Positional[Path], option("FILE.onnx")]
     """Where to write it."""
     opset: int = 17
     """ONNX operator set, 13 to 24: a lower one for an old runtime."""

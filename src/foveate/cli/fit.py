@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from foveate.cli.options import option
+
 
 @dataclass(kw_only=True)
 class Fit:
@@ -16,15 +18,15 @@ class Fit:
     on the first part of a recording (--end) and replay on the rest (--start) to judge honestly.
     """
 
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING.csv")]
+    recording: Annotated[tyro.conf.Positional[Path], option("RECORDING.csv")]
     """Header time_s,track_id,x_m,y_m[,z_m]."""
-    out: Annotated[Path, tyro.conf.arg(metavar="scenario.toml")]
+    out: Annotated[Path, option("scenario.toml")]
     """File to write."""
-    start: float | None = None
+    start: Annotated[float | None, option("SECONDS")] = None
     """Begin here [s]."""
-    end: float | None = None
+    end: Annotated[float | None, option("SECONDS")] = None
     """End here [s]."""
-    max_gap: float | None = None
+    max_gap: Annotated[float | None, option("SECONDS")] = None
     """Longest gap over which a target counts as present [s] (default: 2 s, or three fixes of a slow clock)."""
     v_max: float = 3.0
     """The agent's largest speed [m/s]."""

@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
-
 if TYPE_CHECKING:
     from foveate.evaluation import Row
     from foveate.planning.shooting import PlanSettings
     from foveate.problem import Policy
     from foveate.scenes import Scene
     from foveate.settings import Experiment
+from foveate.cli.options import option
 
 
 @dataclass(kw_only=True)
@@ -30,28 +29,28 @@ class Plan:
       foveate plan --scenes table1 --run best --refine 15
     """
 
-    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file; or table1, the paper's six cells of 30 scenes; or own, 30 scenes for each of three numbers of
     targets from the scenario's own distribution (default: table1 in the plane, own in space)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own; table1 proper is the default."""
-    preset: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    preset: Annotated[str | None, option("NAME")] = None
     """Whose world to plan in."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    config: Annotated[Path | None, option("FILE.toml")] = None
     """Experiment in place of a preset."""
-    run: Annotated[str | None, tyro.conf.arg(metavar="RUN|PRESET")] = None
+    run: Annotated[str | None, option("RUN|PRESET")] = None
     """Run folder of foveate train, or a preset: its world, and with --refine its trained policy."""
-    refine: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    refine: Annotated[int | None, option("N")] = None
     """Steps of ascent from what the policy of --run would do."""
     omniscient: bool = False
     """Know the future."""
     open_loop: bool = False
     """Plan once, at the start."""
-    starts: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    starts: Annotated[int | None, option("N")] = None
     """Sequences to begin from (default: as published; omniscient: 64)."""
-    iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    iterations: Annotated[int | None, option("N")] = None
     """Steps of ascent of each (default: 30 a decision, as published 100; omniscient or open loop: 300)."""
-    window: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
+    window: Annotated[int | None, option("K")] = None
     """Most steps that a plan at every step looks ahead; the end of the episode is known."""
     protocol: Literal["surrogate", "true", "both"] = "both"
     """How information is counted, and so what is planned for."""
@@ -59,7 +58,7 @@ class Plan:
     """Noise draws per scene."""
     seed: int = 0
     """Seed of the noise."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    json: Annotated[Path | None, option("FILE")] = None
     """Write rows and summary for programs."""
 
     def run_command(self) -> int:

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from foveate.cli.options import option
+
 
 @dataclass(kw_only=True)
 class Render:
@@ -14,13 +16,13 @@ class Render:
     The same chance as in `foveate evaluate`: what is drawn is the row of its table with that scene and --seed.
     """
 
-    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
     """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.gif|.mp4|.png|.pdf|.svg")]
+    out: Annotated[Path, option("FILE.gif|.mp4|.png|.pdf|.svg")]
     """.gif or .mp4: the episode as it unfolds. .png, .pdf or .svg: its course in four pictures."""
-    scene: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ..")] = ()
+    scene: Annotated[tuple[str, ...], option("ID ..")] = ()
     """Which scenes (default: the last of each number of targets; the last of all for a moving picture)."""
-    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Where they come from (default: table1 in the plane, own in space)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import tyro
 
+from foveate.cli.options import option
+
 GATE = 0.9999
 """Of `models.gate`, repeated here to keep help fast."""
 
@@ -18,21 +20,21 @@ class Replay:
     Writes replay.json, a figure and an animation into --out.
     """
 
-    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
     """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING.csv")]
+    recording: Annotated[tyro.conf.Positional[Path], option("RECORDING.csv")]
     """Header time_s,track_id,x_m,y_m[,z_m]."""
     method: tuple[str, ...] = ("all",)
     """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
-    start: float | None = None
+    start: Annotated[float | None, option("SECONDS")] = None
     """Begin here [s]."""
-    end: float | None = None
+    end: Annotated[float | None, option("SECONDS")] = None
     """End here [s]."""
-    agent_start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,YAW")] = None
+    agent_start: Annotated[str | None, option("X,Y,YAW")] = None
     """Where the agent starts [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording)."""
     starts: int = 1
     """Number of starts; with more than one they are drawn, alike for all methods, and means are printed."""
-    max_gap: float | None = None
+    max_gap: Annotated[float | None, option("SECONDS")] = None
     """Longest gap between two fixes over which a target counts as present [s] (default: 2 s, or three fixes of a slow
     clock)."""
     gate: float | None = GATE
@@ -40,9 +42,9 @@ class Replay:
     takes whatever comes. With the fifth in a row the target has really jumped, and its belief begins anew."""
     seed: int = 0
     """Seed of the noise and of drawn starts."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    out: Annotated[Path | None, option("DIR")] = None
     """Folder for replay.json, replay.png and replay.gif."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    json: Annotated[Path | None, option("FILE")] = None
     """Write the rows for programs."""
 
     def run_command(self) -> int:

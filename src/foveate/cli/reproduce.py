@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from foveate.cli.options import option
 
 if TYPE_CHECKING:
     from foveate.comparison import Comparison
@@ -39,13 +39,13 @@ class Reproduce:
     hard scenes (episodes/)."""
     quick: bool = False
     """One seed, a short training, 3 scenes a cell of 3 and 5 targets, fewer planners; marked in all that is written."""
-    seeds: tuple[int, ...] | None = None
+    seeds: Annotated[tuple[int, ...] | None, option("INT ..")] = None
     """Training seeds (default: 0 10 100; quick: 0)."""
     scene_seed: int = 2023
     """Seed of the scenes; table1 proper is the default."""
-    add: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE.py:NAME ..")] = ()
+    add: Annotated[tuple[str, ...], option("FILE.py:NAME ..")] = ()
     """Methods of your own: records of foveate.methods, or tuples of them, in Python files. Runs these files."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    out: Annotated[Path | None, option("DIR")] = None
     """Folder for all that is written (default: runs/reproduce; -true-view and -quick behind it as asked for)."""
 
     def run_command(self) -> int:

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from foveate.cli.options import option
 
 if TYPE_CHECKING:
     from foveate.learning.judging import Outcome
     from foveate.settings import Experiment
 
-METHOD = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
+LEARNERS = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 
 
 @dataclass(kw_only=True)
@@ -24,43 +24,43 @@ class Train:
     same machine.
     """
 
-    preset: Literal["paper", "best", "true-view", "search", "quadrotor"] | None = None
-    """paper (default): the paper's network, learner and budget (about 20 s on 2 cores). best: a network that weighs
+    preset: Annotated[Literal["paper", "best", "true-view", "search", "quadrotor"] | None, option("NAME")] = None
+    """paper (default): the paper's network, learner and budget (about 10 s on 2 cores). best: a network that weighs
     where to go next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the
     same for what is really seen alone. search: the same where first beliefs err by as much as they claim, with a filter
     that also learns from looking in vain. quadrotor: a flying camera over constant-velocity targets in space, some
     minutes."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    config: Annotated[Path | None, option("FILE.toml")] = None
     """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
-    algorithm: METHOD | None = None
+    algorithm: Annotated[LEARNERS | None, option("NAME")] = None
     """By another learner than the preset or file says, and with a network that this can train. policy-gradient: the
     paper's, through the model. actor-critic: by trying, in whole batches of noisy episodes under the real filter. ppo:
     the paper's model-free rival, Stable-Baselines3's PPO with its default settings (about 10 minutes; needs pip install
     'foveate[ppo]'), on the paper's network. ppo-tuned: the same with settings that suit this task."""
-    epochs: int | None = None
+    epochs: Annotated[int | None, option("INT")] = None
     """Steps of gradient ascent, or batches of tries (default: as in the preset or file)."""
-    episodes: int | None = None
+    episodes: Annotated[int | None, option("INT")] = None
     """Episodes in each of them."""
-    steps: int | None = None
+    steps: Annotated[int | None, option("INT")] = None
     """Of PPO, steps of simulated episodes in all (default: a million, about what 1000 epochs of 60 episodes take)."""
     seed: int = 0
     """Seed of weights and scenes."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
+    out: Annotated[Path | None, option("RUN")] = None
     """Run folder to make (default: runs/PRESET-SEED, with the algorithm between them where one is given)."""
-    resume: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None
+    resume: Annotated[Path | None, option("RUN")] = None
     """Go on with this run, with the settings and the seed it began with (not of PPO)."""
     remat: bool = False
     """For long horizons: remember a few states of an episode, and run what lies between again on the gradient's way
     back. The same gradient, a third more work, far less memory."""
-    window: Annotated[int | None, tyro.conf.arg(metavar="STEPS")] = None
+    window: Annotated[int | None, option("STEPS")] = None
     """For long horizons: let the gradient end at every so many steps, so that it stays bounded. Another gradient: what
     a decision does is followed no further than to the end of its window."""
-    coordinator: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    coordinator: Annotated[str | None, option("HOST:PORT")] = None
     """Train in several processes that share out each batch of episodes, all started with the same options: address of
     the first one. auto: as SLURM, Kubernetes or MPI say, without the two options below."""
-    processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    processes: Annotated[int | None, option("N")] = None
     """How many processes there are."""
-    process_id: Annotated[int | None, tyro.conf.arg(metavar="I")] = None
+    process_id: Annotated[int | None, option("I")] = None
     """Which of them this one is, from 0; that one writes the run folder."""
 
     def run_command(self) -> int:

@@ -9,6 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from foveate.settings import Experiment
     from foveate.view import Programme
+from foveate.cli.options import option
 
 
 @dataclass(kw_only=True)
@@ -19,26 +20,26 @@ class View:
     that plays without a server. The same chance as in `foveate evaluate` and `foveate replay`.
     """
 
-    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
     """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
-    scenes: Annotated[str | None, tyro.conf.arg(metavar="FILE|table1|own")] = None
+    scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Where scenes come from (default: table1 in the plane, own in space)."""
-    recording: Annotated[Path | None, tyro.conf.arg(metavar="RECORDING.csv")] = None
+    recording: Annotated[Path | None, option("RECORDING.csv")] = None
     """Drive through a recording of real targets in the place of scenes."""
-    start: float | None = None
+    start: Annotated[float | None, option("SECONDS")] = None
     """Begin the recording here [s]."""
-    end: float | None = None
+    end: Annotated[float | None, option("SECONDS")] = None
     """End the recording here [s]."""
-    max_gap: float | None = None
+    max_gap: Annotated[float | None, option("SECONDS")] = None
     """Longest gap between two fixes over which a target of the recording counts as present [s] (default: 2 s, or three
     fixes of a slow clock)."""
     port: int = 8080
     """Where to serve the page."""
-    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None
+    record: Annotated[Path | None, option("FILE.html")] = None
     """Write a page that plays one episode without a server, and end."""
-    scene: str | None = None
+    scene: Annotated[str | None, option("NAME")] = None
     """The scene to begin with, or to record (default: the first)."""
-    method: str | None = None
+    method: Annotated[str | None, option("NAME")] = None
     """The method to begin with, or to record: policy, random, still, nearest, uncertain or lawnmower."""
     protocol: Literal["surrogate", "true"] = "true"
     """How information is counted; in a recording always the true way."""
