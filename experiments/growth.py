@@ -19,8 +19,12 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from foveate.benchmarks import training_program
+from foveate.learning.devices import use_cores
+
+use_cores()
+
 from foveate.learning.policy_gradient import begin
+from foveate.learning.training import advance_of
 from foveate.settings import PRESETS, Experiment
 from foveate.timing import in_turn, peak_memory_mib
 
@@ -47,8 +51,8 @@ def experiment_of(targets: int, steps: int, episodes: int) -> Experiment:
         half_side_m=(PER_TARGET_M * np.sqrt(5 * targets),) * 2,
         half_side_per_target_m=0.0,
     )
-    # A micro-batch as large as the paper's: about 512 targets at once.
-    together = max(1, min(64, 512 // targets))
+    # A micro-batch as large as the paper's: about 256 targets at once.
+    together = max(1, min(32, 256 // targets))
     segment = None if steps < 64 else round(np.sqrt(steps))
     training = replace(paper.training, episodes=episodes, together=together, segment=segment)
     return replace(paper, scenario=replace(paper.scenario, scenes=scenes), training=training)
@@ -59,7 +63,7 @@ def seconds_of(size: dict[str, int], repeats: int) -> float:
     experiment = experiment_of(**size)
     problem = experiment.scenario.problem()
     learner = begin(experiment.policy.policy(problem, jax.random.key(0)), experiment.training)
-    program = training_program(experiment, problem, experiment.training)
+    program = advance_of(experiment, problem)
     count = max(1, 4096 // (size["targets"] * size["steps"] * size["episodes"] // 128 + 1))
     return float(np.median(in_turn([lambda: program(jnp.array(count), learner, jax.random.key(1))], repeats))) / count
 

@@ -112,7 +112,9 @@ def test_reproduce_for_the_true_view(
 def _check_moving_pictures(out: Path, rows: list[dict], monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it is no quick look, the best and the worst scene of each cell are filmed."""
     filmed: dict[str, str] = {}
-    monkeypatch.setattr(publication, "animate", lambda film, path: filmed.update({path.name: film.title.split(", ")[1]}))
+    monkeypatch.setattr(
+        publication, "animate", lambda film, path: filmed.update({path.name: film.title.split(", ")[1]})
+    )
     asked = study.true_view_study(True)
     bench = study.bench_of(asked, "paper")
     results = reproduce(asked, out, lambda *_: None, lambda *_: None)
