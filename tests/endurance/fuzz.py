@@ -7,8 +7,10 @@ gibibyte. What breaks that is shown.
 
 import argparse
 import contextlib
+import importlib
 import io
 import os
+import pkgutil
 import re
 import resource
 import sys
@@ -23,6 +25,7 @@ from unittest import mock
 
 import numpy as np
 
+import foveate
 from foveate.cli.main import COMMANDS, main
 from foveate.configuration import dumps_toml, load_toml
 from foveate.recorded import load_recording, resample_slots
@@ -193,6 +196,10 @@ def arguments(rng: np.random.Generator) -> list[str]:
 @contextlib.contextmanager
 def light() -> Iterator[None]:
     """Commands that end where their work would begin."""
+    # Whatever is imported for the first time while a patch holds would keep what it got to see.
+    for module in pkgutil.walk_packages(foveate.__path__, "foveate."):
+        with contextlib.suppress(ImportError):  # an extra that is not installed
+            importlib.import_module(module.name)
     with contextlib.ExitStack() as stack:
         for place in HEAVY:
             stack.enter_context(mock.patch(f"foveate.{place}", side_effect=ValueError("its work would begin here")))

@@ -1,6 +1,7 @@
 """A short walk of what `make fuzz` does at length, and inputs that were built to be slow, or large."""
 
 import json
+import sys
 import time
 
 import numpy as np
@@ -118,7 +119,8 @@ def test_large_files_are_done_soon(tmp_path, read_by, name):
     assert len(text) <= MEBIBYTE + 100
     began = time.process_time()
     refused_or_taken(read_by[kind], tmp_path / "large", text)
-    assert time.process_time() - began < 5.0
+    # Where lines are counted, too, Python takes twice as long.
+    assert time.process_time() - began < (5.0 if sys.gettrace() is None else 15.0)
 
 
 def test_arguments_reach_every_command():

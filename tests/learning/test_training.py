@@ -230,7 +230,7 @@ def stubbed(monkeypatch, script):
     """`train` with learning and judging replaced by a list of (weight, score, share at a limit, finite)."""
     steps = iter(script)
 
-    def epochs(advance, count, learner_, key):
+    def advance(count, learner_, key):
         keys["training"] = key
         moved, *rest = next(steps)
         after = eqx.tree_at(
@@ -245,7 +245,7 @@ def stubbed(monkeypatch, script):
     judged, keys = [], {}
     monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
     monkeypatch.setattr(training, "held_out_episodes", lambda experiment, problem, key: keys.update(held_out=key))
-    monkeypatch.setattr(training, "epochs", epochs)
+    monkeypatch.setattr(training, "advance_of", lambda experiment, problem: advance)
     monkeypatch.setattr(training, "judge", lambda *args: [jnp.array(x) for x in judged[-1]])
     return keys
 

@@ -27,7 +27,7 @@ def mean_and_gradient(
     """The mean of `cost` over the leading axis of `episodes`, and its gradient with respect to `parameters`.
 
     At most `together` episodes are worked on at once by each device. How a batch is cut up changes rounding only; cut
-    up alike, it gives the same numbers on any number of devices.
+    up alike, it gives the same numbers on any number of devices of one process.
     """
     count = len(jax.tree.leaves(episodes)[0])
     devices, most = shared_out(count, together)
@@ -38,10 +38,13 @@ def mean_and_gradient(
     cut = jax.tree.map(lambda x: x[np.minimum(row, count - 1)], episodes)
     weight = jnp.asarray(row < count, float) / count
     if devices == 1:
-        return _in_turn(cost, parameters, cut, weight, lambda one: jax.tree.map(lambda x: x[None], one))
+        return _in_turn(cost, parameters, cut, weight, _alone)
 
     def on_one(parameters, cut, weight):
-        return _in_turn(cost, parameters, cut, weight, lambda one: jax.lax.all_gather(one, AXIS))
+        if jax.process_count() == 1:
+            return _in_turn(cost, parameters, cut, weight, lambda one: jax.lax.all_gather(one, AXIS))
+        # Between machines every exchange is a delay: one a batch.
+        return jax.lax.psum(_in_turn(cost, parameters, cut, weight, _alone), AXIS)
 
     spread = PartitionSpec(None, AXIS)
     return jax.shard_map(
@@ -49,8 +52,12 @@ def mean_and_gradient(
         mesh=mesh(devices),
         in_specs=(PartitionSpec(), spread, spread),
         out_specs=PartitionSpec(),
-        check_vma=False,  # what every device has gathered is the same in all of them
+        check_vma=False,  # what every device has gathered or summed is the same in all of them
     )(parameters, cut, weight)
+
+
+def _alone(one: PyTree) -> PyTree:
+    return jax.tree.map(lambda x: x[None], one)
 
 
 def _in_turn(
