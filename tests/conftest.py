@@ -1,13 +1,23 @@
 """Shapes and dtypes of every annotation in foveate are checked while the tests run, in float64.
 
-Most of the suite's time is XLA's compilation, which `compile_fast` nearly halves.
+Most of the suite's time is XLA's compilation, which `compile_fast` nearly halves. What one worker or process has
+compiled the others find in a cache of this run.
 """
 
+import os
 import random
+import shutil
+import tempfile
 
 import jax
 from jaxtyping import install_import_hook
 
+IS_FIRST = "JAX_COMPILATION_CACHE_DIR" not in os.environ
+if IS_FIRST:  # workers, and processes that tests start, inherit it
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="foveate-compiled-")
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_enable_x64", True)
 install_import_hook("foveate", "beartype.beartype")
 
@@ -18,6 +28,11 @@ compile_fast()
 
 def pytest_addoption(parser):
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run files, and the tests in each, in another order")
+
+
+def pytest_unconfigure(config):
+    if IS_FIRST:
+        shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
 def pytest_report_header(config):

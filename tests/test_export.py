@@ -25,7 +25,7 @@ from foveate.policies.handmade import handmade
 from foveate.policies.pointer import PointerSettings
 from foveate.problem import Observation
 from foveate.scenario import Scenario
-from foveate.settings import DEEPER, QUADROTOR, Experiment
+from foveate.settings import QUADROTOR, Experiment
 
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
@@ -34,6 +34,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "deploy.md"
 EXAMPLE = ROOT / "examples" / "run_onnx.py"
 COUNT, MOST = 1000, 64
+DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")
 CASES = {
     "attention, body": Experiment(),
     "attention, world": Experiment(policy=AttentionSettings(frame="world")),

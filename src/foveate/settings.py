@@ -44,10 +44,6 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
     return replace(experiment, policy=policy, training=replace(learner, **shared))
 
 
-DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")
-"""The paper's architecture, a layer deeper and twice as wide, with compressed information matrices: what the 27
-numbers of a target in space ask for."""
-
 QUADROTOR = Scenario(
     tau_s=0.5,
     agent=Quadrotor(kind="quadrotor"),
@@ -95,16 +91,8 @@ PRESETS = {
     ),
     "quadrotor": Experiment(
         scenario=QUADROTOR,
-        policy=replace(DEEPER, length_m=QUADROTOR.view.depth_m),
-        training=TrainingSettings(
-            epochs=1000,
-            episodes=64,
-            learning_rate=5e-4,
-            schedule="cosine",
-            softness=((1.0, 1.2), (0.3, 0.45)),
-            objective="mean",
-            select="true",
-        ),
+        policy=PointerSettings(kind="pointer", length_m=REACH * QUADROTOR.view.depth_m),
+        training=ActorCriticSettings(algorithm="actor-critic", objective="mean"),
     ),
 }
 
