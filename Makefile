@@ -40,7 +40,7 @@ demo: $(VENV)/.stamp-core
 
 test: $(if $(EXTRA),$(VENV)/.stamp-extra-$(EXTRA)) lint
 	@echo '== tests: pytest, two at a time'
-	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n 2 $(COUNTED) $(PYTEST_ARGS)
 
 lint: $(VENV)/.stamp-dev
 	@echo '== style: ruff check'
@@ -62,9 +62,8 @@ package: $(VENV)/.stamp-dev
 	@$(BIN)/python -m hatchling build
 
 # In an order that is another one every time; the seed that is printed repeats it (PYTEST_ARGS="--shuffle SEED").
-coverage: SHUFFLE := $(shell od -An -N2 -tu2 /dev/urandom | tr -d ' ')
-coverage:
-	@$(MAKE) test PYTEST_ARGS='--shuffle $(SHUFFLE) --cov --cov-report=json --cov-report=term:skip-covered $(PYTEST_ARGS)'
+coverage: COUNTED := --shuffle $(shell od -An -N2 -tu2 /dev/urandom) --cov --cov-report=json --cov-report=term:skip-covered
+coverage: test
 	@$(BIN)/python .ci/coverage.py
 
 fuzz: $(VENV)/.stamp-dev

@@ -51,10 +51,8 @@ def experiment_of(targets: int, steps: int, episodes: int) -> Experiment:
         half_side_m=(PER_TARGET_M * np.sqrt(5 * targets),) * 2,
         half_side_per_target_m=0.0,
     )
-    # A micro-batch as large as the paper's: about 256 targets at once.
-    together = max(1, min(32, 256 // targets))
     segment = None if steps < 64 else round(np.sqrt(steps))
-    training = replace(paper.training, episodes=episodes, together=together, segment=segment)
+    training = replace(paper.training, episodes=episodes, segment=segment)
     return replace(paper, scenario=replace(paper.scenario, scenes=scenes), training=training)
 
 

@@ -5,7 +5,6 @@ that are real (no padding, no finished episode), forward and twice that backward
 large float32 matrix product that is measured in turn with the step.
 """
 
-import math
 import os
 import subprocess
 import sys
@@ -28,8 +27,8 @@ from foveate.learner_settings import TrainingSettings
 from foveate.learning.batch import Batch, Programs
 from foveate.learning.devices import on_all, shared_out
 from foveate.learning.gradient import mean_and_gradient
-from foveate.learning.policy_gradient import begin
-from foveate.learning.training import advance_of, train
+from foveate.learning.policy_gradient import begin, together
+from foveate.learning.training import QUICKLY, advance_of, train
 from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.attention import AttentionPolicy
@@ -98,7 +97,9 @@ def least_operations(policy: AttentionPolicy, scenes: SceneSettings, episodes: i
     return 3 * 2.0 * episodes * (target_steps * of_target + steps * of_agent)
 
 
-def network_program(problem: Problem, scenes: SceneSettings, policy: AttentionPolicy, episodes: int) -> Callable:
+def network_program(
+    problem: Problem, scenes: SceneSettings, training: TrainingSettings, policy: AttentionPolicy
+) -> Callable:
     """The compiled function of a count that makes so many steps of ascent on nothing but decisions: as many as
     real episodes have, for as many targets as these have in the mean, all at once.
 
@@ -106,21 +107,25 @@ def network_program(problem: Problem, scenes: SceneSettings, policy: AttentionPo
     way back through the states: the limit is further away for a training step than for this.
     """
     steps, target_steps = real_steps(scenes)
+    decisions, space = round(training.episodes * steps), problem.agent.space
     seen = observation_of(problem, round(target_steps / steps))
-    noise = 0.1 * jax.random.normal(jax.random.key(0), (round(episodes * steps), *seen.mean.shape))
+    pose_key, mean_key = jax.random.split(jax.random.key(0))
+    places = jax.random.normal(pose_key, (decisions, space.dimension + 1))
+    poses = jax.vmap(lambda place: space.upright(place[1:], place[0]))(places)
+    means = seen.mean + 0.1 * jax.random.normal(mean_key, (decisions, *seen.mean.shape))
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
-    together = math.ceil(len(noise) / math.ceil(episodes / shared_out(episodes)[1]))
+    at_once = round(together(training, scenes) * steps)
 
-    def cost(parameters, noise):
-        observation = eqx.tree_at(lambda o: o.mean, seen, seen.mean + noise)
+    def cost(parameters, where):
+        observation = eqx.tree_at(lambda o: (o.pose, o.mean), seen, where)
         return jnp.sum(eqx.combine(parameters, rest)(observation, (), jax.random.key(0))[0] ** 2)
 
     def step(_, parameters):
-        gradient = mean_and_gradient(cost, parameters, noise, together)[1]
+        gradient = mean_and_gradient(cost, parameters, (poses, means), at_once)[1]
         return jax.tree.map(lambda p, g: p - 1e-3 * g, parameters, gradient)
 
-    program = eqx.filter_jit(lambda count, parameters: jax.lax.fori_loop(0, count, step, parameters))
-    run = on_all(program, shared_out(len(noise), together)[0])
+    program = jax.jit(lambda count, parameters: jax.lax.fori_loop(0, count, step, parameters), compiler_options=QUICKLY)
+    run = on_all(program, shared_out(decisions, at_once).devices)
     return lambda count: jax.tree.leaves(run(jnp.array(count), parameters))[0]
 
 
@@ -138,7 +143,7 @@ def training_step(experiment: Experiment, episodes: int, repeats: int) -> list[M
     compile_s = timed(lambda: program(jnp.array(1), learner, key)[1].objective)
 
     product, operations = matrix_product()
-    alone = network_program(problem, scenes, policy, episodes)
+    alone = network_program(problem, scenes, training, policy)
     calls = [product, lambda: program(jnp.array(count), learner, key)[1].objective, lambda: alone(count)]
     seconds = in_turn(calls, repeats)
     seconds[:, 1:] /= count

@@ -54,11 +54,11 @@ class TrainingSettings(LearningSettings):
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
     or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
 
-    At most `together` episodes are simulated at once on each device (None: 64 on a CPU, more elsewhere); this bounds
-    memory, and changes rounding only. So does `segment`, for long horizons: of an episode only the states at the
-    beginnings of so many steps at a time are remembered, and each segment is run again on the gradient's way back. With
-    `window` the gradient is another one, bounded where horizons are long: it ends at every `window` steps, so that what
-    a decision does is followed no further than to the end of its window.
+    At most `together` episodes are simulated at once on each device (None: as have 256 targets on a CPU's core, more
+    elsewhere); this bounds memory, and changes rounding only. So does `segment`, for long horizons: of an episode only
+    the states at the beginnings of so many steps at a time are remembered, and each segment is run again on the
+    gradient's way back. With `window` the gradient is another one, bounded where horizons are long: it ends at every
+    `window` steps, so that what a decision does is followed no further than to the end of its window.
     """
 
     updates: ClassVar[int] = 1

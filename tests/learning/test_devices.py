@@ -18,6 +18,8 @@ import pytest
 from foveate.arrays import load_arrays
 from foveate.checkpoint import CONFIG, LAST, VERSION, write_config
 from foveate.cli.main import main
+from foveate.learning import devices
+from foveate.learning.devices import shared_out
 from foveate.learning.judging import METRICS
 from foveate.learning.training import train
 from foveate.policies.attention import AttentionSettings
@@ -83,16 +85,76 @@ def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
         np.testing.assert_array_equal(learned[name], array, err_msg=name)
 
 
+CROWD = """
+import hashlib
+import jax
+from foveate.learning.training import advance_of
+from foveate.learning.policy_gradient import begin
+from foveate.policies.attention import AttentionSettings
+from foveate.scenario import Scenario, SceneSettings
+from foveate.settings import Experiment, TrainingSettings
+
+crowd = Experiment(
+    scenario=Scenario(scenes=SceneSettings(targets_min=36, targets_max=40, steps=6)),
+    training=TrainingSettings(episodes=32),
+)
+problem = crowd.scenario.problem()
+learner = begin(crowd.policy.policy(problem, jax.random.key(0)), crowd.training)
+policy = advance_of(crowd, problem)(jax.numpy.array(10), learner, jax.random.key(1))[0].policy
+print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(policy)))).hexdigest())
+"""
+
+
+def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
+    """XLA cuts long products up by the number of cores, which NPROC tells it; micro-batches are too small for that
+    (all 32 episodes at once would not be)."""
+    places = {"JAX_NUM_CPU_DEVICES": "1", "JAX_ENABLE_X64": "0"}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", CROWD],
+            env={**os.environ, **places, "NPROC": n, "JAX_COMPILATION_CACHE_DIR": str(tmp_path / n)},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for n in ("1", "16")
+    ]
+    one, sixteen = (process.communicate(timeout=PATIENCE_S)[0] for process in processes)
+    assert one == sixteen != ""
+
+
+def test_a_batch_is_shared_out_evenly(monkeypatch):
+    """On cores by micro-batches of one size, whatever there are of the former; on other devices by these."""
+    monkeypatch.setattr(jax, "device_count", lambda: 8)
+    assert shared_out(60, 32) == (2, 1, 30)
+    assert shared_out(1024, 32) == (8, 4, 32)
+    monkeypatch.setattr(jax, "device_count", lambda: 3)
+    assert shared_out(1024, 32) == (3, 11, 32)
+    monkeypatch.setattr(jax, "process_count", lambda: 3)
+    assert shared_out(100, 32) == (3, 2, 17)
+    monkeypatch.setattr(jax, "process_count", lambda: 1)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(jax, "device_count", lambda: 8)
+    assert shared_out(140_000, 16_384) == (8, 2, 8_750)
+
+
+def test_a_quota_of_cores_counts(monkeypatch, tmp_path):
+    monkeypatch.setattr(devices.os, "sched_getaffinity", lambda process: set(range(64)), raising=False)
+    monkeypatch.setattr(devices, "QUOTA", tmp_path / "cpu.max")
+    assert devices.cores() == 64
+    for quota, expected in (("max 100000", 64), ("200000 100000", 2), ("50000 100000", 1)):
+        (tmp_path / "cpu.max").write_text(quota + "\n")
+        assert devices.cores() == expected
+
+
 def test_cores_are_devices_where_nobody_has_said_otherwise():
     """In processes of their own: JAX looks once."""
     code = "from foveate.learning.devices import use_cores; use_cores(); import jax; print(jax.device_count())"
-    cores = len(os.sched_getaffinity(0))
     for places, expected in (
-        ({"XLA_FLAGS": "", "JAX_NUM_CPU_DEVICES": ""}, cores),
+        ({"XLA_FLAGS": "", "JAX_NUM_CPU_DEVICES": ""}, devices.cores()),
         ({"XLA_FLAGS": "--xla_force_host_platform_device_count=3", "JAX_NUM_CPU_DEVICES": ""}, 3),
         ({"XLA_FLAGS": "", "JAX_NUM_CPU_DEVICES": "5"}, 5),
     ):
-        own = {name: value for name, value in {**os.environ, **places}.items() if value}
+        own = {name: value for name, value in {**os.environ, **places, "JAX_PLATFORMS": "cpu"}.items() if value}
         done = subprocess.run([sys.executable, "-c", code], env=own, capture_output=True, text=True, check=True)
         assert int(done.stdout) == expected
 

@@ -11,7 +11,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -23,15 +23,21 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 AXIS = "episodes"
 HEARTBEAT_S = 20
 """A process that was silent for so long [s] is lost."""
-TOGETHER = {"cpu": 32}
-"""Episodes that a device works on at once where nothing else is asked for: on a CPU what a core's cache holds."""
-OTHERWISE = 16384
-"""The same on an accelerator."""
+QUOTA = Path("/sys/fs/cgroup/cpu.max")
+"""Where Linux says how much of its cores a container may use: microseconds, or max, in so many."""
 T = TypeVar("T")
 
 
 class ProcessLost(Exception):
     """Another process of this training is gone."""
+
+
+class Shares(NamedTuple):
+    """How a batch is shared out: `rounds` in turn, in each of them `size` episodes on each of so many devices."""
+
+    devices: int
+    rounds: int
+    size: int
 
 
 def use_cores() -> None:
@@ -40,23 +46,32 @@ def use_cores() -> None:
     To be called before JAX does anything; without effect later. Whoever has said how many devices there are
     (JAX_NUM_CPU_DEVICES, or in XLA_FLAGS) is not overruled.
     """
-    if jax.config.values["jax_num_cpu_devices"] < 0 and "host_platform_device_count" not in os.environ.get(
-        "XLA_FLAGS", ""
-    ):
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    said = jax.config.values["jax_num_cpu_devices"] >= 0
+    if not said and "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         with contextlib.suppress(RuntimeError):  # JAX's word for "later"
-            jax.config.update("jax_num_cpu_devices", cores)
+            jax.config.update("jax_num_cpu_devices", cores())
 
 
-def shared_out(episodes: int, together: int | None = None) -> tuple[int, int]:
-    """How many devices work on a batch, and on how many episodes each at once, at most `together`.
+def cores() -> int:
+    """How many cores this process may use."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quota, _, period = QUOTA.read_text().partition(" ") if QUOTA.exists() else ("max", "", "")
+    return count if quota == "max" else max(1, min(count, round(int(quota) / int(period))))
 
-    On the cores of one machine the latter does not depend on how many there are, so that numbers do not, either.
+
+def shared_out(episodes: int, together: int) -> Shares:
+    """How a batch is shared out, at most `together` episodes at once on a device.
+
+    On the cores of one machine no number of episodes depends on how many cores there are, so that sums do not, either.
     """
-    size, devices = together or TOGETHER.get(jax.default_backend(), OTHERWISE), jax.device_count()
+    devices = jax.device_count()
     if jax.default_backend() == "cpu" and jax.process_count() == 1:
-        return min(devices, math.ceil(episodes / size)), size
-    return devices, min(size, math.ceil(episodes / devices))
+        parts = math.ceil(episodes / together)
+        devices = min(devices, parts)
+        return Shares(devices, math.ceil(parts / devices), math.ceil(episodes / parts))
+    share = math.ceil(episodes / devices)
+    rounds = math.ceil(share / together)
+    return Shares(devices, rounds, math.ceil(share / rounds))
 
 
 def join(coordinator: str, processes: int | None, process_id: int | None) -> None:

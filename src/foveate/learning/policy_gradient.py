@@ -20,6 +20,12 @@ from foveate.rollout import log_dets, weights
 from foveate.scenario import SceneSettings
 from foveate.types import Count, Key, Scalar
 
+TARGETS = {"cpu": 256}
+"""Targets, padding counted, that a device works on at once where nothing else is asked for: on a CPU what a core's own
+cache holds."""
+OTHERWISE = 131072
+"""The same on an accelerator."""
+
 
 class Learner(eqx.Module):
     """Everything that one epoch hands on to the next."""
@@ -51,6 +57,11 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
     """A learner before its first epoch."""
     parameters = eqx.filter(policy, eqx.is_inexact_array)
     return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int))
+
+
+def together(settings: TrainingSettings, scenes: SceneSettings) -> int:
+    """Episodes that a device works on at once: as many as asked for, or as have so many targets as it holds best."""
+    return settings.together or max(1, TARGETS.get(jax.default_backend(), OTHERWISE) // scenes.targets_max)
 
 
 def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:
@@ -96,7 +107,7 @@ def epoch(
         episode = training_episode(problem, scenes, keys[0], settings.noise)
         return -objective(problem, eqx.combine(parameters, rest), episode, settings, keys[1])
 
-    value, gradient = mean_and_gradient(loss, parameters, keys, settings.together)
+    value, gradient = mean_and_gradient(loss, parameters, keys, together(settings, scenes))
     norm = optax.tree.norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
     policy = eqx.apply_updates(learner.policy, updates)

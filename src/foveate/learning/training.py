@@ -143,7 +143,8 @@ def advance_of(experiment: Experiment, problem: Problem) -> Callable:
         ),
         compiler_options=QUICKLY,
     )
-    return on_all(program, shared_out(training.episodes, training.together)[0])
+    together = policy_gradient.together(training, scenes)
+    return on_all(program, shared_out(training.episodes, together).devices)
 
 
 def _is_low(score: float, best: float, objective: str) -> bool:
