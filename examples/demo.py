@@ -12,6 +12,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from foveate.learning.devices import use_cores
+
+use_cores()
+
 from foveate.animation import animate
 from foveate.checkpoint import load_run
 from foveate.cli.common import keep_compiled, print_table

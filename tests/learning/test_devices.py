@@ -146,6 +146,60 @@ def test_a_quota_of_cores_counts(monkeypatch, tmp_path):
         assert devices.cores() == expected
 
 
+def test_what_cannot_be_joined_is_named(monkeypatch):
+    """Whoever does not answer, or is no address; and with auto the cluster is asked, with no numbers."""
+    asked = []
+    monkeypatch.setattr(devices.jax.config, "update", lambda *setting: asked.append(setting))
+    monkeypatch.setattr(devices.jax.distributed, "initialize", lambda **given: asked.append(given))
+    devices.join("auto", None, None)
+    devices.join("10.0.0.1:12", 3, 2)
+    assert asked[0] == asked[2] == ("jax_num_cpu_devices", 1)
+    assert "coordinator_address" not in asked[1]
+    named = {"coordinator_address": "10.0.0.1:12", "num_processes": 3, "process_id": 2}
+    assert named.items() <= asked[3].items()
+
+    def silent(**given):
+        raise RuntimeError("DEADLINE_EXCEEDED\nand much more")
+
+    monkeypatch.setattr(devices.jax.distributed, "initialize", silent)
+    with pytest.raises(ValueError, match=r"--coordinator b:1: DEADLINE_EXCEEDED$"):
+        devices.join("b:1", 2, 0)
+
+
+def test_only_the_first_process_writes_the_run_folder(monkeypatch, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "old").write_text("x")
+    with devices.folder_of_this_process(tmp_path / "run", resume=True) as folder:
+        assert folder == tmp_path / "run"
+    monkeypatch.setattr(jax, "process_index", lambda: 1)
+    for resume in (True, False):
+        with devices.folder_of_this_process(tmp_path / "run", resume) as folder:
+            assert folder.name == "run"
+            assert folder.parent != tmp_path
+            assert (folder / "old").exists() == resume
+        assert not folder.exists()
+
+
+def test_processes_agree_on_what_the_first_says(monkeypatch):
+    numbers = (0.1, -3.0, float("inf"))
+    assert devices.agreed(*numbers) == numbers
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    monkeypatch.setattr(devices.multihost_utils, "broadcast_one_to_all", lambda told: told)
+    assert devices.agreed(*numbers) == numbers, "bit for bit, in float32 too"
+
+
+def test_who_fails_on_several_devices_is_lost_only_among_several_processes(monkeypatch):
+    def fails(*arguments):
+        raise jax.errors.JaxRuntimeError("UNAVAILABLE: gone\nand much more")
+
+    run = devices.on_all(fails, 2)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="UNAVAILABLE"):
+        run(np.zeros(2))
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    with pytest.raises(devices.ProcessLost, match=r"another process of this training was lost: UNAVAILABLE: gone$"):
+        run(np.zeros(2))
+
+
 def test_cores_are_devices_where_nobody_has_said_otherwise():
     """In processes of their own: JAX looks once."""
     code = "from foveate.learning.devices import use_cores; use_cores(); import jax; print(jax.device_count())"
