@@ -105,6 +105,7 @@ def traced_once():
     """Each call of a trainer traces its programs anew, and with every annotation checked a digest takes long."""
     known, now = {}, []
     begin, jit, held_out = training._begin, training.eqx.filter_jit, training.held_out_episodes
+    advance_of = training.advance_of
 
     def begin_noted(problem, policy, settings, key):
         now[:] = [type(settings).__name__]
@@ -117,6 +118,7 @@ def traced_once():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "_begin", begin_noted)
+        patch.setattr(training, "advance_of", lambda *of: known.setdefault((now[0], "advance"), advance_of(*of)))
         patch.setattr(training.eqx, "filter_jit", lambda f: known.setdefault((now[0], f.__qualname__), jit(f)))
         patch.setattr(training, "held_out_episodes", episodes)
         patch.setattr(checkpoint, "digest", functools.cache(checkpoint.digest))
