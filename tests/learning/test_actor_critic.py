@@ -159,8 +159,8 @@ def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_e
         value = jax.jit(jax.vmap(jax.vmap(learner.critic)))(tried.observation)
         each += list(np.sum(tried.reward, axis=1))
         counts.append(np.asarray(tried.counts))
-        of_all = jax.jit(jax.vmap(advantages, (0, 0, 0, None)))
-        advantage.append(of_all(tried.reward, value, tried.counts, chosen.gae_lambda))
+        of_all = jax.jit(jax.vmap(partial(advantages, gae_lambda=chosen.gae_lambda)))
+        advantage.append(of_all(tried.reward, value, tried.counts))
     counts, advantage = np.concatenate(counts), np.concatenate(advantage)
     assert set(counts.sum(axis=1)) == {3, 6}
     np.testing.assert_allclose(earned, prior + np.mean(each), rtol=1e-9)
