@@ -14,7 +14,7 @@ import numpy as np
 
 from foveate.learning.devices import use_cores
 
-use_cores()
+use_cores()  # before anything wakes JAX up
 
 from foveate.animation import animate
 from foveate.checkpoint import load_run

@@ -10,12 +10,12 @@ import argparse
 import time
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.learning.policy_gradient import begin, epoch, epochs
+from foveate.learning.policy_gradient import begin
+from foveate.learning.training import advance_of
 from foveate.policies.attention import AttentionSettings
 from foveate.settings import PRESETS, Experiment, TrainingSettings
 
@@ -29,11 +29,7 @@ def timed(experiment: Experiment):
     """A function that runs EPOCHS epochs and returns the seconds that one episode step of one of them took."""
     problem, scenes, training = experiment.scenario.problem(), experiment.scenario.scenes, experiment.training
     learner = begin(experiment.policy.policy(problem, jax.random.key(0)), training)
-
-    def one(learner, key):
-        return epoch(problem, scenes, training, learner, key)
-
-    advance = eqx.filter_jit(lambda count, learner, key: epochs(one, count, learner, key))
+    advance = advance_of(experiment, problem)
     steps = scenes.horizon(scenes.targets_max) * training.episodes
 
     def run() -> float:

@@ -19,7 +19,7 @@ if IS_FIRST:  # workers, and processes that tests start, inherit it
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_num_cpu_devices", 2)  # so that batches are shared out in this process, too
 install_import_hook("foveate", "beartype.beartype")
 
 from foveate.cli.common import compile_fast  # noqa: E402  (after the hook, so that it is checked, too)

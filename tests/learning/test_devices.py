@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from foveate.arrays import load_arrays
-from foveate.checkpoint import CONFIG, LAST, VERSION, write_config
+from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, write_config
 from foveate.cli.main import main
 from foveate.learning import devices
 from foveate.learning.devices import shared_out
@@ -67,6 +67,13 @@ def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(one[name], other[name], rtol=1e-6, atol=1e-8, err_msg=name)
 
 
+@pytest.fixture
+def alone(monkeypatch):
+    """One device, whatever this process has."""
+    monkeypatch.setattr(jax, "device_count", lambda: 1)
+
+
+@pytest.mark.usefixtures("alone")
 def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
     eight = "--xla_force_host_platform_device_count=8"
     with started(TINY, tmp_path / "eight", flags=eight) as process:
@@ -103,6 +110,14 @@ learner = begin(crowd.policy.policy(problem, jax.random.key(0)), crowd.training)
 policy = advance_of(crowd, problem)(jax.numpy.array(10), learner, jax.random.key(1))[0].policy
 print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(policy)))).hexdigest())
 """
+
+
+def test_two_devices_of_this_process_learn_what_one_does_bit_for_bit(tmp_path, monkeypatch):
+    train(TINY, tmp_path / "two")
+    assert shared_out(TINY.training.episodes, 2).devices == 2
+    monkeypatch.setattr(jax, "device_count", lambda: 1)
+    train(TINY, tmp_path / "one")
+    assert (tmp_path / "two" / BEST).read_bytes() == (tmp_path / "one" / BEST).read_bytes()
 
 
 def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
@@ -219,6 +234,7 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
+@pytest.mark.usefixtures("alone")
 def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
     """The first writes; when the second is killed it says so, and its last checkpoint is whole."""
     endless = replace(TINY, training=replace(TINY.training, epochs=1_000_000))

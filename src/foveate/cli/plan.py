@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from foveate.cli.options import option
+
 if TYPE_CHECKING:
     from foveate.evaluation import Row
     from foveate.planning.shooting import PlanSettings
     from foveate.problem import Policy
     from foveate.scenes import Scene
     from foveate.settings import Experiment
-from foveate.cli.options import option
 
 
 @dataclass(kw_only=True)

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from foveate.cli.options import option
+
 if TYPE_CHECKING:
     from foveate.settings import Experiment
     from foveate.view import Programme
-from foveate.cli.options import option
 
 
 @dataclass(kw_only=True)
