@@ -16,20 +16,20 @@ from foveate.learning.devices import use_cores
 
 use_cores()  # before anything wakes JAX up
 
-from foveate.animation import animate
-from foveate.checkpoint import load_run
 from foveate.cli.common import keep_compiled, print_table
-from foveate.configuration import digest
-from foveate.episodes import table1
-from foveate.evaluation import evaluate, prepare, simulate
-from foveate.figures import learning_curve, trajectory_figure
-from foveate.film import film
-from foveate.learning.training import METRICS
-from foveate.progress import train_watched
-from foveate.published import MODEL_BASED, MODEL_FREE
-from foveate.rollout import PROTOCOLS
-from foveate.settings import PRESETS
-from foveate.summary import summarise, write_result
+from foveate.evaluation.evaluate import evaluate, prepare, simulate
+from foveate.evaluation.summary import summarise, write_result
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.presets import PRESETS
+from foveate.io.toml import digest
+from foveate.learning.loop import METRICS
+from foveate.learning.train import train_watched
+from foveate.plotting.animation import animate
+from foveate.plotting.episode_data import film
+from foveate.plotting.figures import learning_curve, trajectory_figure
+from foveate.simulation.records import PROTOCOLS
+from foveate.simulation.suites import table1
+from foveate.study.tables import MODEL_BASED, MODEL_FREE
 
 OUT = Path("runs/demo")
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from foveate.linalg import log_det_spd
-from foveate.methods import Fixed
-from foveate.policies.handmade import Steering
-from foveate.problem import Observation, Policy
-from foveate.settings import Experiment
+from foveate.experiment.experiment import Experiment
+from foveate.geometry.linalg import log_det_spd
+from foveate.policies.heuristics import Steering
+from foveate.simulation.records import Observation, Policy
+from foveate.study.methods import Fixed
 from foveate.types import Flag, Point
 
 NATS_PER_METRE = 0.3

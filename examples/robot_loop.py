@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.poses import placed
-from foveate.problem import Problem
-from foveate.runs import load
-from foveate.tracker import Tracker
+from foveate.deploy.tracker import Tracker
+from foveate.experiment.resolve import load
+from foveate.geometry.numpy_poses import placed
+from foveate.models.problem import Problem
 
 MOST = 16
 """The decision is compiled once, for so many targets."""

@@ -10,7 +10,7 @@ import time
 import gymnasium
 import numpy as np
 
-import foveate.gym
+import foveate.gym.envs
 
 
 def main() -> None:

@@ -23,10 +23,11 @@ from foveate.learning.devices import use_cores
 
 use_cores()
 
+from foveate.bench.timing import in_turn, peak_memory_mib
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS
+from foveate.learning.loop import advance_of
 from foveate.learning.policy_gradient import begin
-from foveate.learning.training import advance_of
-from foveate.settings import PRESETS, Experiment
-from foveate.timing import in_turn, peak_memory_mib
 
 SIZES = {
     "targets": (4, 16, 64, 256, 1024, 4096),

@@ -21,16 +21,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from foveate.checkpoint import load_run
-from foveate.episodes import table1
-from foveate.evaluation import Suite, policy_keys, prepare
-from foveate.linalg import log_det_spd
-from foveate.measures import chi_square_band
-from foveate.policies.handmade import handmade
-from foveate.problem import Episode, Policy, Problem
-from foveate.rollout import TRUE, State, act, instants, observe, predict, start
-from foveate.settings import PRESETS
-from foveate.statistics import paired
+from foveate.evaluation.evaluate import Suite, policy_keys, prepare
+from foveate.evaluation.metrics import chi_square_band
+from foveate.evaluation.statistics import paired
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.presets import PRESETS
+from foveate.geometry.linalg import log_det_spd
+from foveate.models.problem import Problem
+from foveate.policies.heuristics import handmade
+from foveate.simulation.records import TRUE, Episode, Policy, State
+from foveate.simulation.step import act, instants, observe, predict, start
+from foveate.simulation.suites import table1
 from foveate.types import Key
 
 AGES = ((0, 0), (1, 1), (2, 2), (3, 4), (5, 8), (9, 99))

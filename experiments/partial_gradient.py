@@ -21,13 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from foveate.checkpoint import load_run
-from foveate.episodes import training_episode
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.presets import PRESETS
 from foveate.learning.sensitivity import policy_gradient
-from foveate.lifting import Lifted, lifted_episode, lifted_problem
 from foveate.policies.inputs import Frame
-from foveate.problem import Policy
-from foveate.settings import PRESETS
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.planar_in_space import Lifted, lifted_episode, lifted_problem
+from foveate.simulation.records import Policy
 
 PAPER = PRESETS["paper"]
 SEEDS = (0, 10, 100)

@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS, TrainingSettings
+from foveate.learning.loop import advance_of
 from foveate.learning.policy_gradient import begin
-from foveate.learning.training import advance_of
 from foveate.policies.attention import AttentionSettings
-from foveate.settings import PRESETS, Experiment, TrainingSettings
 
 EPOCHS = 20
 

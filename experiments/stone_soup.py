@@ -24,11 +24,11 @@ from stonesoup.types.state import GaussianState, State
 from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
-from foveate.checkpoint import load_run
-from foveate.episodes import table1
-from foveate.policies.handmade import handmade
-from foveate.settings import PRESETS
-from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.presets import PRESETS
+from foveate.policies.heuristics import handmade
+from foveate.simulation.suites import table1
+from foveate.stonesoup.manager import BodyMovable, PolicySensorManager, ViewSensor
 
 START = datetime.datetime(2026, 1, 1)
 STONE_SOUP = {"brute force": BruteForceSensorManager, "greedy": GreedySensorManager, "random": RandomSensorManager}

@@ -18,13 +18,12 @@ import jax
 
 import foveate
 from foveate.api import load, train
-from foveate.episodes import SUITE_SCENES_PER_CELL, own_suite
-from foveate.evaluation import Suite, prepare, rows_of, simulate
-from foveate.files import write_json
-from foveate.problem import Trace
-from foveate.rollout import PROTOCOLS
-from foveate.runs import TRAINED
-from foveate.settings import PRESETS
+from foveate.evaluation.evaluate import Suite, prepare, rows_of, simulate
+from foveate.experiment.presets import PRESETS
+from foveate.experiment.resolve import TRAINED
+from foveate.io.files import write_json
+from foveate.simulation.records import PROTOCOLS, Trace
+from foveate.simulation.suites import SUITE_SCENES_PER_CELL, own_suite
 
 SEED = 0
 SCORED = 2

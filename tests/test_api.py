@@ -15,18 +15,17 @@ from filterpy.kalman import KalmanFilter
 from scipy.spatial.transform import Rotation
 
 import foveate
-from foveate.checkpoint import policy_shape
 from foveate.cli.main import main
-from foveate.learning import learner
-from foveate.learning.judging import Check, Outcome
+from foveate.experiment.checkpoint import policy_shape
+from foveate.experiment.presets import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_scenario
+from foveate.experiment.run_folder import Check, Outcome
+from foveate.io.progress import Bar
+from foveate.learning import train as learner
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.progress import Bar
-from foveate.scenario import SceneSettings
-from foveate.scenes import write_scenes
-from foveate.settings import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_scenario
-from foveate.target_settings import DriftTarget
-from foveate.view_settings import SectorView
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenes import SceneSettings, write_scenes
+from foveate.scenario.target import DriftTarget
 
 ROOT = Path(__file__).parents[1]
 SCENES = SceneSettings(targets_min=1, targets_max=2, steps=4)
@@ -232,7 +231,7 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
 
 def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever is given: a run, a policy, and one of the user's own with its scenario."""
-    monkeypatch.setattr("foveate.evaluation.decision_time", lambda *_: 0.125)
+    monkeypatch.setattr("foveate.evaluation.evaluate.decision_time", lambda *_: 0.125)
     out, policy, scenes = tmp_path / "run", untrained(PLANE), tmp_path / "scenes.json"
     policy.save(out)
     write_scenes(scenes, [SCENE])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from foveate.arrays import load_arrays, save_arrays
+from foveate.io.npz import load_arrays, save_arrays
 
 HEADER = {"format": "foveate-policy", "version": 2, "config": {"frame": "body", "widths": [32, 64]}}
 ARRAYS = {

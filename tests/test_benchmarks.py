@@ -7,12 +7,14 @@ import jax
 import numpy as np
 import pytest
 
-from foveate import benchmarks
-from foveate.benchmarks import dense_products, least_operations, real_steps, training_step
+from foveate.bench import workloads as benchmarks
+from foveate.bench.workloads import dense_products, least_operations, real_steps, training_step
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS, TrainingSettings
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import PRESETS, Experiment, TrainingSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
 
 TINY = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=3)),

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.arrays import load_arrays, save_arrays
-from foveate.checkpoint import BEST, VERSION, load_run, load_tree, policy_shape, save_tree, write_config
+from foveate.experiment.checkpoint import VERSION, load_run, load_tree, policy_shape, save_tree, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.run_folder import BEST
+from foveate.io.npz import load_arrays, save_arrays
 from foveate.policies.attention import AttentionSettings
-from foveate.settings import Experiment
 
 WIDTHS = {"agent_widths": (3, 4), "target_widths": (5, 4), "out_widths": (3,)}
 EXPERIMENT = Experiment(policy=AttentionSettings(**WIDTHS))

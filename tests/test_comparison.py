@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from foveate.closeness import floors, with_closeness
-from foveate.comparison import Part, as_json, compare
-from foveate.evaluation import Row
-from foveate.pages import markdown
-from foveate.report import tables
-from foveate.scenario import Scenario, SensorSettings
-from foveate.scenes import Scene
-from foveate.summary import summarise
+from foveate.evaluation.bounds import floors, with_closeness
+from foveate.evaluation.evaluate import Row
+from foveate.evaluation.summary import summarise
+from foveate.io.tables import markdown
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene
+from foveate.scenario.sensor import SensorSettings
+from foveate.study.comparison import Part, as_json, compare
+from foveate.study.tables import tables
 
 SCENES = 8
 CELLS = (("unbiased", 3), ("biased", 5))

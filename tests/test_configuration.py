@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foveate.configuration import digest, dumps_toml, from_table, load_toml, to_table
+from foveate.io.records import from_table, to_table
+from foveate.io.toml import digest, dumps_toml, load_toml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,5 +326,5 @@ def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours() -> None:
 
 
 def test_reading_a_configuration_does_not_load_jax() -> None:
-    code = "import sys, foveate.configuration; sys.exit('jax' in sys.modules or 'numpy' in sys.modules)"
+    code = "import sys, foveate.io.toml; sys.exit('jax' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -128,7 +128,7 @@ def test_python_on_the_first_page_and_its_example_run(
         return foveate.load(options["like"])
 
     monkeypatch.setattr("foveate.api.train", train)
-    monkeypatch.setattr("foveate.evaluation.decision_time", lambda *_: 0.125)
+    monkeypatch.setattr("foveate.evaluation.evaluate.decision_time", lambda *_: 0.125)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = [code for _, kind, code in FENCE.findall(text) if kind == "python"]
     names: dict = {}

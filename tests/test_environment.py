@@ -6,14 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate import environment as under_test
-from foveate.environment import Environment, begin, observation, reset, step, step_and_reset
-from foveate.episodes import training_episode
+from foveate.experiment.presets import QUADROTOR, TrainingSettings
 from foveate.policies.attention import AttentionSettings
-from foveate.problem import Policy
-from foveate.rollout import SURROGATE, TRUE, Protocol, rollout
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import QUADROTOR, TrainingSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation import environment as under_test
+from foveate.simulation.environment import Environment, begin, observation, reset, step, step_and_reset
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import SURROGATE, TRUE, Policy, Protocol
+from foveate.simulation.rollout import rollout
 
 SOFT = TrainingSettings(softness=((1.0, 0.4), (0.3, 0.25)), noise=True).protocol
 PLANAR = Scenario(scenes=SceneSettings(targets_min=1, targets_max=3))

@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare, kstest
 
-from foveate.episodes import (
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.target import DriftTarget, LinearTarget
+from foveate.simulation.episodes import (
     Drawn,
     Noise,
     draw,
@@ -20,12 +24,8 @@ from foveate.episodes import (
     episode_of,
     scene_episodes,
     scene_noise,
-    suite,
-    table1,
 )
-from foveate.scenario import Scenario, SceneSettings, SensorSettings
-from foveate.scenes import Scene
-from foveate.target_settings import DriftTarget, LinearTarget
+from foveate.simulation.suites import suite, table1
 
 PAPER = Scenario()
 COUNT = 3000
@@ -271,8 +271,8 @@ IN_SINGLE_PRECISION = """
 import json
 import jax.numpy as jnp
 from dataclasses import asdict
-from foveate.episodes import scene_episodes, table1
-from foveate.scenario import Scenario
+from foveate.simulation.episodes import scene_episodes, table1
+from foveate.scenario.scenario import Scenario
 scenario = Scenario()
 problem = scenario.problem()
 assert problem.tau.dtype == jnp.float32

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
 
-from foveate.evaluation import evaluate, prepare, simulate
-from foveate.measures import chi_square_band, longest_run, measures
-from foveate.policies.handmade import handmade
-from foveate.problem import Trace
-from foveate.rollout import TRUE
-from foveate.scenario import Scenario, SceneSettings
-from foveate.scenes import Scene
-from foveate.summary import read_result, summarise, write_result
-from foveate.view_settings import SectorView
+from foveate.evaluation.evaluate import evaluate, prepare, simulate
+from foveate.evaluation.metrics import chi_square_band, longest_run, measures
+from foveate.evaluation.summary import read_result, summarise, write_result
+from foveate.policies.heuristics import handmade
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.simulation.records import TRUE, Trace
 
 PAPER = Scenario().problem()
 EVERYWHERE = Scenario(view=SectorView(depth_m=1e6, angle_deg=360.0), scenes=SceneSettings(initial_error="consistent"))

@@ -17,15 +17,17 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.spatial.transform import Rotation
 
-from foveate.checkpoint import BEST, save_tree, write_config
 from foveate.cli.main import main
-from foveate.export import OPSETS, export, inputs_of, to_onnx
+from foveate.deploy.onnx.export import OPSETS, export, inputs_of, to_onnx
+from foveate.experiment.checkpoint import save_tree, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import QUADROTOR
+from foveate.experiment.run_folder import BEST
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import handmade
+from foveate.policies.heuristics import handmade
 from foveate.policies.pointer import PointerSettings
-from foveate.problem import Observation
-from foveate.scenario import Scenario
-from foveate.settings import QUADROTOR, Experiment
+from foveate.scenario.scenario import Scenario
+from foveate.simulation.records import Observation
 
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")

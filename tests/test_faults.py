@@ -11,19 +11,21 @@ import numpy as np
 import optax
 import pytest
 
+from foveate.deploy.tracker import Tracker
+from foveate.experiment.presets import TrainingSettings
 from foveate.learning.policy_gradient import begin, optimizer
 from foveate.models.belief import predict_information
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import handmade
-from foveate.problem import Episode, Truth
-from foveate.recorded import load_recording
-from foveate.replay import prepare_replay, replay, warnings_for
-from foveate.rollout import PROTOCOLS, SURROGATE, log_dets, rollout
-from foveate.scenario import Scenario, SceneSettings, SensorSettings
-from foveate.settings import TrainingSettings
-from foveate.target_settings import DriftTarget
-from foveate.tracker import Tracker
-from foveate.view_settings import SectorView
+from foveate.policies.heuristics import handmade
+from foveate.recordings.formats import load_recording
+from foveate.recordings.replay import prepare_replay, replay, warnings_for
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.target import DriftTarget
+from foveate.simulation.records import PROTOCOLS, SURROGATE, Episode, Truth
+from foveate.simulation.rollout import log_dets, rollout
 
 WIDE = Scenario(
     tau_s=0.5,

@@ -16,13 +16,14 @@ from PIL import Image
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from foveate import animation, drawing, figures
-from foveate.evaluation import prepare, simulate
-from foveate.film import SUBSTEPS, Film, film
+from foveate.evaluation.evaluate import prepare, simulate
+from foveate.experiment.presets import PRESETS
 from foveate.geometry.space import SPACES
-from foveate.rollout import TRUE
-from foveate.scenes import Scene
-from foveate.settings import PRESETS
+from foveate.plotting import animation, figures
+from foveate.plotting import scene as drawing
+from foveate.plotting.episode_data import SUBSTEPS, Film, film
+from foveate.scenario.scenes import Scene
+from foveate.simulation.records import TRUE
 
 TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
 

@@ -9,17 +9,11 @@ from matplotlib.lines import Line2D
 from PIL import Image
 from test_figures import made_up
 
-from foveate import drawing, figures_comparison
-from foveate.comparison import Overall
-from foveate.figures_comparison import (
-    Curve,
-    curve_of,
-    duel_figure,
-    learning_curves,
-    pareto_figure,
-    pareto_front,
-)
-from foveate.learning.training import Check
+from foveate.learning.loop import Check
+from foveate.plotting import scene as drawing
+from foveate.study import figures as figures_comparison
+from foveate.study.comparison import Overall
+from foveate.study.figures import Curve, curve_of, duel_figure, learning_curves, pareto_figure, pareto_front
 
 CHECK = Check(
     epoch=50, objective=1.0, gradient_norm=2.0, held_out=3.0, at_limit=0.0, best=True, epochs_per_s=9.0, elapsed_s=8.0

@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 from test_robustness import MADE_UP, made_up_points
 
-from foveate import figures_robustness
-from foveate.drawing import new_figure
-from foveate.figures_robustness import robustness_figure
-from foveate.robustness import verdicts
+from foveate.plotting.scene import new_figure
+from foveate.study import figures_robustness
+from foveate.study.figures_robustness import robustness_figure
+from foveate.study.robustness import verdicts
 
 
 def test_lines_stand_at_the_means():

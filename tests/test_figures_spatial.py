@@ -11,19 +11,22 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.stats import chi2
 
-from foveate import animation, drawing, figures, poses, solids
-from foveate.drawing_spatial import DART, SpatialStage
-from foveate.film import SUBSTEPS, Film, film
-from foveate.geometry.fov import triangle
+from foveate.geometry import numpy_poses as poses
+from foveate.geometry.fov_planar import triangle
 from foveate.geometry.fov_spatial import cone, frustum, prism
 from foveate.geometry.space import SPACES
 from foveate.models.agent import Agent
+from foveate.models.problem import Problem
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
-from foveate.policies.handmade import handmade
-from foveate.problem import Episode, Problem, Truth
-from foveate.rollout import TRUE, rollout
-from foveate.stages import stage_of
+from foveate.plotting import animation, figures
+from foveate.plotting import ellipsoids as solids
+from foveate.plotting import scene as drawing
+from foveate.plotting.episode_data import SUBSTEPS, Film, film
+from foveate.plotting.scene_spatial import DART, SpatialStage, stage_of
+from foveate.policies.heuristics import handmade
+from foveate.simulation.records import TRUE, Episode, Truth
+from foveate.simulation.rollout import rollout
 
 FRUSTUM = tuple(frustum(0.3, 6.0, 1.4, 1.0).outline())
 CHI_SQUARE = chi2.ppf(0.95, 3)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foveate import files
-from foveate.files import read_bytes, read_json, write_atomic, write_json
+from foveate.io import files
+from foveate.io.files import read_bytes, read_json, write_atomic, write_json
 
 
 def test_write_replaces_the_old_content_and_leaves_nothing_beside_it(tmp_path: Path) -> None:

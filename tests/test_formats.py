@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foveate.arrays import load_arrays, save_arrays
-from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, load_run
-from foveate.configuration import digest, load_toml, read_toml
-from foveate.figures import read_checks
-from foveate.files import read_document
-from foveate.learning.judging import METRICS
-from foveate.learning.training import train
-from foveate.recorded import load_recording
-from foveate.replay import ReplayRow
-from foveate.scenes import read_scenes
-from foveate.settings import PRESETS, Experiment
-from foveate.summary import read_result
+from foveate.evaluation.summary import read_result
+from foveate.experiment.checkpoint import VERSION, load_run
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, read_checks
+from foveate.io.files import read_document
+from foveate.io.npz import load_arrays, save_arrays
+from foveate.io.toml import digest, load_toml, read_toml
+from foveate.learning.loop import train
+from foveate.recordings.formats import load_recording
+from foveate.recordings.replay import ReplayRow
+from foveate.scenario.scenes import read_scenes
 
 FORMATS, SOURCE = Path(__file__).parent / "formats", Path(__file__).parents[1] / "src" / "foveate"
 sys.path.append(str(FORMATS))

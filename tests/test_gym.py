@@ -14,12 +14,14 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import foveate.gym
-from foveate.checkpoint import write_config
-from foveate.gym_task import TaskSettings, scenario_of
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import PRESETS, QUADROTOR, Experiment
-from foveate.target_settings import LinearTarget
+import foveate.gym.envs
+from foveate.experiment.checkpoint import write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS, QUADROTOR
+from foveate.gym.task import TaskSettings, scenario_of
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.target import LinearTarget
 
 EYE = ((1.0, 0.0), (0.0, 1.0))
 REVERSED = LinearTarget(kind="linear", A=EYE, B=EYE, W=EYE, Z=EYE[::-1], prior=EYE)

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from foveate.episodes import training_episode
 from foveate.geometry.space import SPACES
-from foveate.lifting import Lifted, lifted_episode, lifted_pose, lifted_problem
 from foveate.models.sensor import Softness
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import Lawnmower
-from foveate.rollout import SURROGATE, TRUE, Protocol, log_dets, rollout
-from foveate.scenario import Scenario, SceneSettings, ScheduleSettings, SensorSettings
-from foveate.target_settings import VelocityTarget
-from foveate.view_settings import SectorView
+from foveate.policies.heuristics import Lawnmower
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import ScheduleSettings, SensorSettings
+from foveate.scenario.target import VelocityTarget
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.planar_in_space import Lifted, lifted_episode, lifted_pose, lifted_problem
+from foveate.simulation.records import SURROGATE, TRUE, Protocol
+from foveate.simulation.rollout import log_dets, rollout
 
 SMALL = AttentionSettings(agent_widths=(8, 6), target_widths=(8, 6), out_widths=(8,))
 FEW = {"targets_min": 2, "targets_max": 3, "half_side_per_target_m": 0.6}

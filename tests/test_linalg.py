@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.linalg import cholesky_spd, inverse_spd, log_det_spd, multiply, symmetrise, vech
+from foveate.geometry.linalg import cholesky_spd, inverse_spd, log_det_spd, multiply, symmetrise, vech
 
 SIZES = pytest.mark.parametrize("size", [*range(1, 7), 9, 10])
 DTYPES = pytest.mark.parametrize("dtype", [np.float64, np.float32])

@@ -15,14 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from foveate.agent_settings import DifferentialDrive
+from foveate.models.problem import Problem
 from foveate.models.sensor import Softness
 from foveate.policies.attention import AttentionSettings
-from foveate.problem import Episode, Policy, Problem, per_target
-from foveate.rollout import Protocol, rollout
-from foveate.scenario import Scenario, SensorSettings
-from foveate.target_settings import DriftTarget
-from foveate.view_settings import TriangleView
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.field_of_view import TriangleView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.target import DriftTarget
+from foveate.simulation.records import Episode, Policy, Protocol, per_target
+from foveate.simulation.rollout import rollout
 
 SLOTS, STEPS = 64, 6
 SCALES = st.floats(-3, 5).map(lambda power: 10.0**power)

@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 import foveate
-from foveate.checkpoint import BEST, load_run
-from foveate.runs import TRAINED, experiment_of, run_folder
-from foveate.settings import PRESETS
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.presets import PRESETS
+from foveate.experiment.resolve import TRAINED, experiment_of, run_folder
+from foveate.experiment.run_folder import BEST
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = ("config.toml", "record.json", BEST.as_posix())

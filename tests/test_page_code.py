@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 import foveate
-from foveate.checkpoint import BEST, save_tree, write_config
 from foveate.cli.main import COMMANDS, main
-from foveate.configuration import from_table
-from foveate.recorded import load_recording
-from foveate.scenes import read_scenes
-from foveate.settings import PRESETS, Experiment
+from foveate.experiment.checkpoint import save_tree, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS
+from foveate.experiment.run_folder import BEST
+from foveate.io.records import from_table
+from foveate.recordings.formats import load_recording
+from foveate.scenario.scenes import read_scenes
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
@@ -119,15 +121,15 @@ def fresh(folder: Path, preset: str) -> None:
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Where a reader works, with the examples, small sizes, and first weights for those of presets (see `fresh`)."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    train, table1, own = foveate.train, foveate.runs.table1, foveate.runs.own_suite
+    train, table1, own = foveate.train, foveate.experiment.resolve.table1, foveate.experiment.resolve.own_suite
     monkeypatch.setattr(
         "foveate.api.train",
         lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
     )
-    monkeypatch.setattr("foveate.runs.table1", lambda *given: table1(*given)[:2])
-    monkeypatch.setattr("foveate.runs.own_suite", lambda *given: own(*given)[:2])
-    monkeypatch.setattr("foveate.learner_settings.JudgedSettings.held_out", 4)
-    monkeypatch.setattr("foveate.runs.TRAINED", tmp_path / "trained")
+    monkeypatch.setattr("foveate.experiment.resolve.table1", lambda *given: table1(*given)[:2])
+    monkeypatch.setattr("foveate.experiment.resolve.own_suite", lambda *given: own(*given)[:2])
+    monkeypatch.setattr("foveate.experiment.learners.JudgedSettings.held_out", 4)
+    monkeypatch.setattr("foveate.experiment.resolve.TRAINED", tmp_path / "trained")
     monkeypatch.chdir(tmp_path)
     jax.config.update("jax_disable_most_optimizations", True)  # what runs so little need not run fast
     yield tmp_path

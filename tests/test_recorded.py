@@ -5,17 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foveate.motion_fit import MotionStatistics, default_max_gap_s, fit_statistics, median_fix_interval_s
-from foveate.recorded import (
-    MAX_CELLS,
-    Recording,
-    Track,
-    load_recording,
-    resample,
-    resample_slots,
-    slots,
-    window,
-)
+from foveate.recordings.formats import load_recording
+from foveate.recordings.motion import MotionStatistics, default_max_gap_s, fit_statistics, median_fix_interval_s
+from foveate.recordings.recording import MAX_CELLS, Recording, Track, resample, resample_slots, slots, window
 
 HEADER = "time_s,track_id,x_m,y_m\n"
 TRACKS = Path(__file__).resolve().parents[1] / ".." / "shared" / "tracks"

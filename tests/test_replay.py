@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from foveate.policies.handmade import handmade
-from foveate.recorded import load_recording
-from foveate.replay import (
-    default_agent_start,
-    prepare_replay,
-    random_agent_starts,
-    replay,
-    warnings_for,
-)
-from foveate.scenario import Scenario, SceneSettings, SensorSettings
-from foveate.target_settings import DriftTarget, LinearTarget
-from foveate.view_settings import SectorView
+from foveate.policies.heuristics import handmade
+from foveate.recordings.formats import load_recording
+from foveate.recordings.replay import default_agent_start, prepare_replay, random_agent_starts, replay, warnings_for
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.target import DriftTarget, LinearTarget
 
 DEPTH, ANGLE, TAU = 6.0, 90.0, 0.5
 

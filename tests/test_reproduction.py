@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from foveate import reproduction, study
-from foveate.episodes import suite
-from foveate.evaluation import Row
-from foveate.learning.training import Outcome
-from foveate.methods import Learned, Method, Training, paper_methods, reference
-from foveate.problem import Policy
-from foveate.reproduction import TRAININGS, UNITS, reproduce
-from foveate.settings import PRESETS
-from foveate.study import Study, units
+from foveate.evaluation.evaluate import Row
+from foveate.experiment.presets import PRESETS
+from foveate.learning.loop import Outcome
+from foveate.simulation.records import Policy
+from foveate.simulation.suites import suite
+from foveate.study import run as reproduction
+from foveate.study import study
+from foveate.study.methods import Learned, Method, Training, paper_methods, reference
+from foveate.study.run import TRAININGS, UNITS, reproduce
+from foveate.study.study import Study, units
 
 EXPERIMENT = PRESETS["paper"]
 SHORTER = replace(EXPERIMENT, training=replace(EXPERIMENT.training, epochs=7))

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from foveate.episodes import table1
-from foveate.evaluation import evaluate
-from foveate.methods import Fixed
-from foveate.policies.handmade import handmade
-from foveate.report import worlds
-from foveate.robustness import FACTORS, Factor, Point, as_json, changed_bench, points, verdicts
-from foveate.scenario import Scenario
-from foveate.settings import PRESETS
+from foveate.evaluation.evaluate import evaluate
+from foveate.experiment.presets import PRESETS
+from foveate.policies.heuristics import handmade
+from foveate.scenario.scenario import Scenario
+from foveate.simulation.suites import table1
+from foveate.study.methods import Fixed
+from foveate.study.robustness import FACTORS, Factor, Point, as_json, changed_bench, points, verdicts
+from foveate.study.tables import worlds
 
 WORLD = PRESETS["paper"]
 BY_NAME = {factor.name: factor for factor in FACTORS}

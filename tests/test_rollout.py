@@ -11,14 +11,15 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scipy.special import erf
 
-from foveate.geometry.fov import triangle
+from foveate.geometry.fov_planar import triangle
 from foveate.geometry.space import SPACES
 from foveate.models.agent import Agent
+from foveate.models.problem import Problem
 from foveate.models.sensor import Sensor, Softness
 from foveate.models.target import LinearGaussian
 from foveate.policies.attention import AttentionSettings
-from foveate.problem import Arrivals, Episode, Policy, Problem, Truth
-from foveate.rollout import SURROGATE, TRUE, Protocol, log_dets, rollout
+from foveate.simulation.records import SURROGATE, TRUE, Arrivals, Episode, Policy, Protocol, Truth
+from foveate.simulation.rollout import log_dets, rollout
 
 MIXTURE = Protocol(levels=(Softness(1.0, 0.4), Softness(0.3, 0.25)))
 DEPTH, ANGLE = 2.0, 2 * np.pi / 3

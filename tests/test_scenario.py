@@ -6,13 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.agent_settings import DifferentialDrive, FixedWing, FreeBody, Quadrotor
-from foveate.configuration import dumps_toml, load_toml
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS, PPOSettings, TrainingSettings
+from foveate.io.toml import dumps_toml, load_toml
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario, SceneSettings, ScheduleSettings, SensorSettings
-from foveate.settings import PRESETS, Experiment, PPOSettings, TrainingSettings
-from foveate.target_settings import AccelerationTarget, DriftTarget, LinearTarget, StaticTarget, VelocityTarget
-from foveate.view_settings import (
+from foveate.scenario.agent import DifferentialDrive, FixedWing, FreeBody, Quadrotor
+from foveate.scenario.field_of_view import (
     BallView,
     ConeView,
     FrustumView,
@@ -21,6 +20,10 @@ from foveate.view_settings import (
     SectorView,
     TriangleView,
 )
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import ScheduleSettings, SensorSettings
+from foveate.scenario.target import AccelerationTarget, DriftTarget, LinearTarget, StaticTarget, VelocityTarget
 
 EYE = ((1.0, 0.0), (0.0, 1.0))
 TURNED = ((0.5, 0.5), (0.5, 0.5))

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from foveate.geometry.space import SPACES
-from foveate.scenario import SceneSettings
-from foveate.scenes import Scene, read_scenes, write_scenes
+from foveate.scenario.scenes import Scene, SceneSettings, read_scenes, write_scenes
 
 PLANAR, SETTINGS = SPACES["planar"], SceneSettings()
 CONTRACT = Path(__file__).parents[2] / "shared" / "tools" / "contract.py"

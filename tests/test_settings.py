@@ -5,13 +5,14 @@ from dataclasses import replace
 import pytest
 
 from foveate.cli.main import main
-from foveate.learner_settings import ActorCriticSettings, TrainingSettings
-from foveate.learning.training import train
+from foveate.experiment.experiment import Experiment, with_learner
+from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
+from foveate.experiment.presets import PPO, PRESETS
+from foveate.learning.loop import train
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.scenario import Scenario
-from foveate.settings import PPO, PRESETS, Experiment, with_learner
-from foveate.view_settings import SectorView
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
 
 TRYING = ActorCriticSettings(algorithm="actor-critic")
 STREET = Experiment(

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from foveate.cli.main import COMMANDS
-from foveate.settings import PRESETS
+from foveate.experiment.presets import PRESETS
 
 ROOT = Path(__file__).parents[1]
 GENERATOR = ROOT / "docs" / "generator"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from foveate.statistics import holm, mean_interval, paired
+from foveate.evaluation.statistics import holm, mean_interval, paired
 
 
 @pytest.mark.parametrize("count", [2, 5, 30])

@@ -30,18 +30,20 @@ from stonesoup.types.state import GaussianState, State
 from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
-from foveate.checkpoint import BEST, save_tree, write_config
+from foveate.deploy.tracker import Tracker
+from foveate.experiment.checkpoint import save_tree, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS
+from foveate.experiment.run_folder import BEST
 from foveate.geometry import fov
 from foveate.geometry.fov_spatial import frustum
 from foveate.geometry.space import Spatial
 from foveate.models import belief
 from foveate.models.agent import Agent
-from foveate.policies.handmade import handmade
-from foveate.problem import Policy
-from foveate.scenes import Scene
-from foveate.settings import PRESETS, Experiment
-from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of, state_order
-from foveate.tracker import Tracker
+from foveate.policies.heuristics import handmade
+from foveate.scenario.scenes import Scene
+from foveate.simulation.records import Policy
+from foveate.stonesoup.manager import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of, state_order
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "stonesoup.md"

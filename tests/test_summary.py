@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from foveate.evaluation import Row
-from foveate.summary import summarise
+from foveate.evaluation.evaluate import Row
+from foveate.evaluation.summary import summarise
 
 
 def row(scene, score, nees, seen):

@@ -8,14 +8,16 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import expm
 
-from foveate.agent_settings import DifferentialDrive, FreeBody
-from foveate.episodes import draw, draw_noise, draw_size, episode_of, first_error
-from foveate.policies.handmade import Nearest
-from foveate.problem import Episode, Truth
-from foveate.rollout import TRUE, rollout
-from foveate.scenario import Scenario, SceneSettings, ScheduleSettings, SensorSettings
-from foveate.target_settings import AccelerationTarget, StaticTarget, VelocityTarget, integrators
-from foveate.view_settings import BallView
+from foveate.policies.heuristics import Nearest
+from foveate.scenario.agent import DifferentialDrive, FreeBody
+from foveate.scenario.field_of_view import BallView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import ScheduleSettings, SensorSettings
+from foveate.scenario.target import AccelerationTarget, StaticTarget, VelocityTarget, integrators
+from foveate.simulation.episodes import draw, draw_noise, draw_size, episode_of, first_error
+from foveate.simulation.records import TRUE, Episode, Truth
+from foveate.simulation.rollout import rollout
 
 TAUS = (0.5, 1.3, 0.2)
 Q = ((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.4))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.timing import Metric, compilations, in_turn, measure_yardsticks, peak_memory_mib, spread, timed
+from foveate.bench.timing import Metric, compilations, in_turn, measure_yardsticks, peak_memory_mib, spread, timed
 
 
 def test_spread_is_that_of_the_quartiles():

@@ -13,11 +13,14 @@ from filterpy.kalman import KalmanFilter
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
-from foveate.checkpoint import BEST, save_tree, write_config
+from foveate.deploy.tracker import Tracker
+from foveate.experiment.checkpoint import save_tree, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import QUADROTOR
+from foveate.experiment.run_folder import BEST
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario, ScheduleSettings, SensorSettings
-from foveate.settings import QUADROTOR, Experiment
-from foveate.tracker import Tracker
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "robot_loop.py"
 SENSOR = SensorSettings(V=((0.04, 0.01, 0), (0.01, 0.09, 0), (0, 0, 0.02)), frame="body", range_growth_per_m=0.1)

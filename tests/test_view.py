@@ -24,11 +24,13 @@ import msgspec
 import zstandard
 from websockets.sync.client import connect
 
-from foveate import view, view_chart, view_stage
 from foveate.cli.main import main
-from foveate.film import SUBSTEPS, Film
 from foveate.geometry.space import SPACES
-from foveate.scenes import Scene, write_scenes
+from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.live import chart as view_chart
+from foveate.plotting.live import scene as view_stage
+from foveate.plotting.live import server as view
+from foveate.scenario.scenes import Scene, write_scenes
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")

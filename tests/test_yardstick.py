@@ -7,15 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate import yardstick
-from foveate.evaluation import prepare, rows_of, simulate
+from foveate.evaluation import bounds as yardstick
+from foveate.evaluation.bounds import closeness, floor, omniscient, omniscient_rows
+from foveate.evaluation.evaluate import prepare, rows_of, simulate
+from foveate.evaluation.summary import summarise
 from foveate.planning.shooting import PAPER, PlanSettings
-from foveate.policies.handmade import handmade
-from foveate.rollout import TRUE
-from foveate.scenario import Scenario, ScheduleSettings
-from foveate.scenes import Scene
-from foveate.summary import summarise
-from foveate.yardstick import closeness, floor, omniscient, omniscient_rows
+from foveate.policies.heuristics import handmade
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene
+from foveate.scenario.sensor import ScheduleSettings
+from foveate.simulation.records import TRUE
 
 SCENARIO = Scenario()
 PROBLEM = SCENARIO.problem()

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from foveate.configuration import dumps_toml
-from foveate.settings import PRESETS, Experiment
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS
+from foveate.io.toml import dumps_toml
 
 INTRODUCTION = """# Configuration
 

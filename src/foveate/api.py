@@ -7,21 +7,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from foveate.checks import seed_number
-from foveate.configuration import load_toml
-from foveate.policies import handmade
-from foveate.problem import Policy, Problem
-from foveate.progress import train_watched
-from foveate.results import Evaluation, evaluate_all
-from foveate.runs import experiment_of, policy_of, scenes_of, with_initial_error
-from foveate.runs import load as load_parts
-from foveate.scenario import Scenario
-from foveate.scenes import Scene, checked
-from foveate.settings import PRESETS, Experiment, adjusted, for_scenario
-from foveate.trained_policy import TrainedPolicy
+from foveate.deploy.policy import TrainedPolicy
+from foveate.evaluation.report import Evaluation, evaluate_all
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS, adjusted, for_scenario
+from foveate.experiment.resolve import experiment_of, policy_of, scenes_of, with_initial_error
+from foveate.experiment.resolve import load as load_parts
+from foveate.io.toml import load_toml
+from foveate.io.validate import seed_number
+from foveate.learning.train import train_watched
+from foveate.models.problem import Problem
+from foveate.policies import heuristics as handmade
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene, checked
+from foveate.simulation.records import Policy
 
 Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
+
+
 Algorithm = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
+
+
 METHODS = ("policy", *handmade.METHODS)
 
 
@@ -84,7 +90,7 @@ def evaluate(
 ) -> Evaluation:
     """How well a policy does: its scores, what it saw, its errors, and whether its filter knows them.
 
-    `policy`: a trained one, a run folder, a preset's name, or a `foveate.problem.Policy` of your own with its
+    `policy`: a trained one, a run folder, a preset's name, or a `foveate.simulation.records.Policy` of your own with its
     `scenario`. `scenes`: a scenes file, or "table1", the paper's suite, or "own", drawn from the scenario (with
     `scene_seed`), or a list; by default table1 in the plane, own in space. `method`: "policy", and in its place or
     beside it policies made by hand, "random", "still", "nearest", "uncertain" and "lawnmower", or "all". Every method
@@ -150,7 +156,9 @@ def _world_of(policy: TrainedPolicy | Policy | str | Path, scenario: Scenario | 
             raise ValueError("scenario: expected the world of a policy that foveate did not train")
         return Experiment(scenario=scenario)
     if not isinstance(policy, TrainedPolicy | str | Path):
-        raise ValueError(f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.problem.Policy")
+        raise ValueError(
+            f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.simulation.records.Policy"
+        )
     own = policy.experiment if isinstance(policy, TrainedPolicy) else experiment_of(policy)
     if scenario is None:
         return own

@@ -21,21 +21,33 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 Key = PRNGKeyArray
 """A typed JAX random key, used once."""
 
+
 Pose = Float[Array, "..."]
 """Planar: [x, y, yaw], shape (3,). Spatial: homogeneous transform T, shape (4, 4). Body to world."""
+
 
 Twist = Float[Array, " n_u"]
 """Body-frame velocity u = [v; w]. Planar: [v_x, v_y, w_z]. Spatial: [v_x, v_y, v_z, w_x, w_y, w_z]. [m/s, rad/s]"""
 
+
 Action = Float[Array, " m"]
 """Normalised command in [-1, 1] for every actuated axis; the agent maps it to a twist within its limits."""
+
 
 Point = Float[Array, " d"]
 """A position [m]; the frame is in the variable's name."""
 
+
 Mean = Float[Array, " n_y"]
+
+
 Information = Float[Array, "n_y n_y"]
 
+
 Scalar = Float[Array, ""]
+
+
 Flag = Bool[Array, ""]
+
+
 Count = Int[Array, ""]

@@ -8,10 +8,11 @@ from pathlib import Path
 import jax
 import pytest
 
-from foveate import benchmarks, timing
+from foveate.bench import timing
+from foveate.bench import workloads as benchmarks
+from foveate.bench.timing import Metric
 from foveate.cli.bench import read_ratios, regressions
 from foveate.cli.main import main
-from foveate.timing import Metric
 
 ROOT = Path(__file__).parents[2]
 BASELINE = ROOT / "benchmarks" / "baseline.json"

@@ -8,16 +8,18 @@ from pathlib import Path
 import pytest
 from test_cli import check_contract, failure
 
-from foveate import closeness, publication, study
 from foveate.cli.main import main
-from foveate.comparison import compare
-from foveate.episodes import suite
-from foveate.methods import Fixed, Learned, Training
+from foveate.evaluation import bounds as closeness
+from foveate.experiment.presets import PRESETS
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import handmade
-from foveate.reproduction import reproduce
-from foveate.settings import PRESETS
+from foveate.policies.heuristics import handmade
+from foveate.simulation.suites import suite
+from foveate.study import publish as publication
+from foveate.study import study
+from foveate.study.comparison import compare
+from foveate.study.methods import Fixed, Learned, Training
+from foveate.study.run import reproduce
 
 OWN = Path(__file__).parents[2] / "examples" / "own_method.py"
 TINY = replace(

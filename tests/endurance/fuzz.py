@@ -27,10 +27,12 @@ import numpy as np
 
 import foveate
 from foveate.cli.main import COMMANDS, main
-from foveate.configuration import dumps_toml, load_toml
-from foveate.recorded import load_recording, resample_slots
-from foveate.scenes import read_scenes
-from foveate.settings import PRESETS, Experiment
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PRESETS
+from foveate.io.toml import dumps_toml, load_toml
+from foveate.recordings.formats import load_recording
+from foveate.recordings.recording import resample_slots
+from foveate.scenario.scenes import read_scenes
 
 FORMATS = Path(__file__).parents[1] / "formats"
 LARGEST = 1 << 20

@@ -15,15 +15,17 @@ from pathlib import Path
 
 import numpy as np
 
-from foveate.arrays import load_arrays
-from foveate.checkpoint import BEST, CONFIG, LAST, VERSION
-from foveate.configuration import dumps_toml
-from foveate.learner_settings import ActorCriticSettings
-from foveate.learning.judging import METRICS
+from foveate.experiment.checkpoint import VERSION
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import ActorCriticSettings
+from foveate.experiment.presets import TrainingSettings
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS
+from foveate.io.npz import load_arrays
+from foveate.io.toml import dumps_toml
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import Experiment, TrainingSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
 
 MODEL = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))),

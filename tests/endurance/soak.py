@@ -19,11 +19,11 @@ import jax
 import numpy as np
 from scipy.stats import chi2
 
+from foveate.deploy.tracker import Tracker
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario
-from foveate.target_settings import DriftTarget
-from foveate.tracker import Tracker
-from foveate.view_settings import SectorView
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.target import DriftTarget
 
 RATE_HZ = 100
 MOST = 16
@@ -145,7 +145,7 @@ def tabs(count: int) -> str:
     sys.path.append(str(Path(__file__).parents[1]))
     from test_view import CHROMIUM, Browser, made_up, wait_for
 
-    from foveate import view
+    from foveate.plotting.live import server as view
 
     if CHROMIUM is None:
         return "no chromium here: the live view was not looked at"

@@ -28,7 +28,7 @@ def test_the_live_view_forgets_who_has_left(tmp_path):
     from test_view import made_up, wait_for
     from websockets.sync.client import connect
 
-    from foveate import view
+    from foveate.plotting.live import server as view
 
     programme = view.Programme(scenes=("one",), methods=("still",), film=lambda scene, method: made_up())
     with view._server(0) as server:

@@ -12,22 +12,25 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from foveate.checkpoint import BEST, LAST, load_run
-from foveate.configuration import digest, save_toml
-from foveate.evaluation import evaluate, prepare
-from foveate.files import write_document
-from foveate.learner_settings import ActorCriticSettings
-from foveate.learning.learner import train
+from foveate.evaluation.evaluate import evaluate, prepare
+from foveate.evaluation.summary import summarise, write_result
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import ActorCriticSettings
+from foveate.experiment.presets import PRESETS, TrainingSettings
+from foveate.experiment.run_folder import BEST, LAST
+from foveate.io.files import write_document
+from foveate.io.toml import digest, save_toml
+from foveate.learning.train import train
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import handmade
+from foveate.policies.heuristics import handmade
 from foveate.policies.pointer import PointerSettings
-from foveate.recorded import load_recording
-from foveate.replay import VERSION, prepare_replay, replay, result
-from foveate.rollout import PROTOCOLS, observe, predict, start
-from foveate.scenario import Scenario, SceneSettings
-from foveate.scenes import Scene, write_scenes
-from foveate.settings import PRESETS, Experiment, TrainingSettings
-from foveate.summary import summarise, write_result
+from foveate.recordings.formats import load_recording
+from foveate.recordings.replay import VERSION, prepare_replay, replay, result
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene, SceneSettings, write_scenes
+from foveate.simulation.records import PROTOCOLS
+from foveate.simulation.step import observe, predict, start
 
 HERE = Path(__file__).parent
 SCENES = SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.geometry.fov import FieldOfView, ball, half_space, polygon, sector, triangle
+from foveate.geometry.fov import FieldOfView, ball, half_space
+from foveate.geometry.fov_planar import polygon, sector, triangle
 from foveate.geometry.fov_spatial import cone, frustum, intersection, prism
 
 POINTS = 20_000

@@ -8,7 +8,8 @@ import pytest
 from fov_cases import CASES, HEPTAGON, INTERSECTIONS, POINTS, STRATUM, answered, cast, distance, gradients
 from fov_oracles import ConvexHull, cone_distance_by_azimuth, halfspace_distance, projection
 
-from foveate.geometry.fov import half_space, polygon, triangle
+from foveate.geometry.fov import half_space
+from foveate.geometry.fov_planar import polygon, triangle
 from foveate.geometry.fov_spatial import intersection
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fov_cases import CASES, EVERY, INTERSECTIONS, answered, cast, distance, gradients
 
-from foveate.geometry.fov import ConvexPolygon, triangle, triangle_vertices
+from foveate.geometry.fov_planar import ConvexPolygon, triangle, triangle_vertices
 from foveate.geometry.fov_spatial import Cone, Frustum
 
 

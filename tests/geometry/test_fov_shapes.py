@@ -9,7 +9,8 @@ import pytest
 from fov_cases import INTERSECTIONS, SHAPES, distance
 from fov_oracles import polyhedron_oracle
 
-from foveate.geometry.fov import ball, half_space, polygon, sector, triangle
+from foveate.geometry.fov import ball, half_space
+from foveate.geometry.fov_planar import polygon, sector, triangle
 from foveate.geometry.fov_spatial import cone, frustum, intersection, prism
 
 

@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from foveate.checkpoint import load_run
-from foveate.episodes import training_episode
-from foveate.learner_settings import ActorCriticSettings
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import ActorCriticSettings
 from foveate.learning import actor_critic
 from foveate.learning.actor_critic import Samples, advantages, entropy, gather, log_density, loss, tries
-from foveate.learning.judging import held_out_episodes, judge
-from foveate.learning.training import train
+from foveate.learning.loop import train
+from foveate.learning.validation import held_out_episodes, judge
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import Modes, PointerSettings
-from foveate.rollout import PROTOCOLS, rollout
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import Experiment
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import PROTOCOLS
+from foveate.simulation.rollout import rollout
 
 NETWORK = PointerSettings(
     kind="pointer", target_widths=(16, 16), heads=2, context_widths=(16,), mode_widths=(16,), modes=1

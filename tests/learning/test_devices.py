@@ -15,16 +15,18 @@ import jax
 import numpy as np
 import pytest
 
-from foveate.arrays import load_arrays
-from foveate.checkpoint import BEST, CONFIG, LAST, VERSION, write_config
 from foveate.cli.main import main
+from foveate.experiment.checkpoint import VERSION, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import TrainingSettings
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS
+from foveate.io.npz import load_arrays
 from foveate.learning import devices
 from foveate.learning.devices import shared_out
-from foveate.learning.judging import METRICS
-from foveate.learning.training import train
+from foveate.learning.loop import train
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import Experiment, TrainingSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
 
 TINY = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4)),
@@ -95,11 +97,11 @@ def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
 CROWD = """
 import hashlib
 import jax
-from foveate.learning.training import advance_of
+from foveate.learning.loop import advance_of
 from foveate.learning.policy_gradient import begin
 from foveate.policies.attention import AttentionSettings
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import Experiment, TrainingSettings
+from foveate.scenario.scenario import Scenario, SceneSettings
+from foveate.experiment.presets import Experiment, TrainingSettings
 
 crowd = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=36, targets_max=40, steps=6)),

@@ -6,13 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.episodes import training_episode
+from foveate.experiment.presets import TrainingSettings
 from foveate.learning.gradient import mean_and_gradient
-from foveate.learning.policy_gradient import episode_score, objective
-from foveate.problem import Policy
-from foveate.rollout import Back, log_dets
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import TrainingSettings
+from foveate.learning.objective import episode_score
+from foveate.learning.policy_gradient import objective
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import Back, Policy
+from foveate.simulation.rollout import log_dets
 
 STEPS = 5
 SCENARIO = Scenario(scenes=SceneSettings(targets_min=2, targets_max=2, steps=STEPS))

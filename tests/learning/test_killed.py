@@ -19,14 +19,14 @@ import jax
 import numpy as np
 import pytest
 
-import foveate.checkpoint as checkpoint
-import foveate.files as files
-from foveate.checkpoint import BEST, CONFIG, LAST, load_run
+import foveate.experiment.checkpoint as checkpoint
+import foveate.io.files as files
 from foveate.cli.main import main
-from foveate.configuration import dumps_toml
-from foveate.learning import training
-from foveate.learning.judging import METRICS, require_free
-from foveate.learning.learner import train
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, require_free
+from foveate.io.toml import dumps_toml
+from foveate.learning import loop as training
+from foveate.learning.train import train
 
 sys.path.append(str(Path(__file__).parents[1] / "endurance"))
 from kill import MODEL, TRYING, await_checks, checks, start
@@ -63,7 +63,7 @@ class Disk:
         raise Killed
 
     def open(self, path, mode="r", *rest, **options):
-        file = builtins.open(path, mode, *rest, **options)  # noqa: SIM115 (whoever asked for it closes it)
+        file = builtins.open(path, mode, *rest, **options)  # noqa: SIM115
         return self.File(self, file, path) if set(mode) & set("xwa") else file
 
     class File:

@@ -14,15 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.checkpoint import BEST, load_run
-from foveate.environment import Environment, observation, reset, step
-from foveate.learning import ppo, training
-from foveate.learning.judging import METRICS, held_out_episodes, judge
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.experiment import Experiment, with_learner
+from foveate.experiment.presets import PPO, PPOSettings, TrainingSettings
+from foveate.experiment.run_folder import BEST, METRICS
+from foveate.learning import loop as training
+from foveate.learning.sb3 import ppo
+from foveate.learning.validation import held_out_episodes, judge
 from foveate.policies.attention import AttentionSettings
-from foveate.problem import Observation
-from foveate.rollout import SURROGATE
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import PPO, Experiment, PPOSettings, TrainingSettings, with_learner
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.environment import Environment, observation, reset, step
+from foveate.simulation.records import SURROGATE, Observation
 
 pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
 
@@ -32,8 +35,8 @@ from stable_baselines3 import PPO as Learner
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from foveate.learning.torch_attention import ActorAndCritic, Attention, flat_inputs, to_jax
-from foveate.learning.vec_env import TargetsVecEnv
+from foveate.learning.sb3.network import ActorAndCritic, Attention, flat_inputs, to_jax
+from foveate.learning.sb3.vec_env import TargetsVecEnv
 
 WIDTHS = AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,))
 TINY = Experiment(

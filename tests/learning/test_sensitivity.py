@@ -12,15 +12,16 @@ from jax.flatten_util import ravel_pytree
 from foveate.geometry import fov, fov_spatial, lie
 from foveate.geometry.space import SPACES
 from foveate.learning.sensitivity import policy_gradient
-from foveate.lifting import Lifted, lifted_episode, lifted_problem
 from foveate.models.agent import Agent
+from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness
 from foveate.models.target import LinearGaussian
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.handmade import Lawnmower
-from foveate.problem import Episode, Problem, Schedule
-from foveate.rollout import Protocol, log_dets
-from foveate.scenario import Scenario
+from foveate.policies.heuristics import Lawnmower
+from foveate.scenario.scenario import Scenario
+from foveate.simulation.planar_in_space import Lifted, lifted_episode, lifted_problem
+from foveate.simulation.records import Episode, Protocol
+from foveate.simulation.rollout import log_dets
 
 VIEWS = {
     "frustum": fov_spatial.frustum(0.2, 4.0, 1.6, 1.1),

@@ -9,15 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.checkpoint import BEST, LAST, load_run, load_tree
-from foveate.learning import training
-from foveate.learning.judging import METRICS, judge
-from foveate.learning.policy_gradient import Learner, Report, begin
-from foveate.learning.training import COLLAPSED_CHECKS, RETURNS, Progress, train
+from foveate.experiment.checkpoint import load_run, load_tree
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import TrainingSettings
+from foveate.experiment.run_folder import BEST, LAST, METRICS
+from foveate.learning import loop as training
+from foveate.learning.learner import Learner, Report
+from foveate.learning.loop import COLLAPSED_CHECKS, RETURNS, Progress, train
+from foveate.learning.policy_gradient import begin
+from foveate.learning.validation import judge
 from foveate.policies.attention import AttentionSettings
-from foveate.problem import Policy
-from foveate.scenario import Scenario, SceneSettings
-from foveate.settings import Experiment, TrainingSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.records import Policy
 
 TINY = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))),

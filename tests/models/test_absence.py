@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from foveate.evaluation import prepare, simulate
-from foveate.measures import chi_square_band
-from foveate.models.absence import given_unseen, standard_points
+from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.metrics import chi_square_band
 from foveate.models.belief import Belief
-from foveate.policies.handmade import handmade
-from foveate.rollout import TRUE
-from foveate.scenario import Scenario, SceneSettings, SensorSettings
-from foveate.scenes import Scene
+from foveate.models.missed_detection import given_unseen, standard_points
+from foveate.policies.heuristics import handmade
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.simulation.records import TRUE
 
 
 def gaussian(mean, covariance) -> Belief:

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from foveate.models.belief import Belief, correct_mean, entropy, predict_information, update_information
 from foveate.models.target import LinearGaussian
-from foveate.target_settings import integrators
+from foveate.scenario.target import integrators
 
 SHAPES = [(1, 1, 1), (2, 1, 2), (3, 3, 1), (4, 2, 2), (5, 4, 3), (6, 3, 1)]
 """n_y, n_z, m_y."""

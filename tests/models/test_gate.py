@@ -8,14 +8,14 @@ from filterpy.kalman import KalmanFilter
 from scipy.spatial.distance import mahalanobis
 from scipy.stats import chi2
 
+from foveate.deploy.tracker import Tracker
 from foveate.models.belief import Belief
 from foveate.models.gate import GATE, RESTART_AFTER, gate_limit, one_point, squared_distance
-from foveate.policies.handmade import handmade
-from foveate.problem import Episode, Truth
-from foveate.rollout import TRUE, rollout
-from foveate.scenario import Scenario
-from foveate.tracker import Tracker
-from foveate.view_settings import SectorView
+from foveate.policies.heuristics import handmade
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.simulation.records import TRUE, Episode, Truth
+from foveate.simulation.rollout import rollout
 
 WORLD = Scenario(view=SectorView(depth_m=1e6, angle_deg=360.0))
 LIMIT = gate_limit(GATE, 2)

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import erf
 from scipy.stats import norm
 
-from foveate.geometry.fov import triangle
+from foveate.geometry.fov_planar import triangle
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness, detection_weight
 
 LEVELS = [PAPER_SOFTNESS, Softness(1.0, 0.4), Softness(0.3, 0.25), Softness(0.0, 0.01), Softness(-1.0, 3.0)]

@@ -9,22 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.evaluation import prepare, simulate
+from foveate.evaluation.evaluate import prepare, simulate
+from foveate.experiment.presets import PRESETS
 from foveate.geometry.fov import ball
 from foveate.geometry.fov_spatial import cone, prism
 from foveate.geometry.space import SPACES
 from foveate.models.agent import Agent
+from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness
 from foveate.models.target import LinearGaussian
 from foveate.planning.information import Future, final_log_det, score
 from foveate.planning.receding import Given, Receding, believed_future
 from foveate.planning.shooting import PAPER, Plan, PlanSettings, ascend, better, level_at, plan
 from foveate.planning.tours import best_range, straight_ahead, tours
-from foveate.problem import Observation, Policy, Problem
-from foveate.rollout import SURROGATE, TRUE, log_dets
-from foveate.scenario import Scenario, ScheduleSettings
-from foveate.scenes import Scene
-from foveate.settings import PRESETS
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import Scene
+from foveate.scenario.sensor import ScheduleSettings
+from foveate.simulation.records import SURROGATE, TRUE, Observation, Policy
+from foveate.simulation.rollout import log_dets
 
 PROBLEM = PRESETS["paper"].scenario.problem()
 FEW = PlanSettings(starts=4, iterations=30)

@@ -15,9 +15,10 @@ from foveate.geometry.space import SPACES
 from foveate.policies.attention import AttentionPolicy, AttentionSettings
 from foveate.policies.inputs import policy_inputs
 from foveate.policies.layers import masked_softmax
-from foveate.problem import Observation
-from foveate.scenario import Scenario, SceneSettings
-from foveate.target_settings import LinearTarget
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.target import LinearTarget
+from foveate.simulation.records import Observation
 
 KEY = jax.random.key(0)
 RNG = np.random.default_rng(0)

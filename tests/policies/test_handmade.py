@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from foveate.agent_settings import DifferentialDrive
-from foveate.policies.handmade import METHODS, handmade
-from foveate.problem import Episode, Observation
-from foveate.rollout import TRUE, rollout
-from foveate.scenario import Scenario
-from foveate.view_settings import TriangleView
+from foveate.policies.heuristics import METHODS, handmade
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.field_of_view import TriangleView
+from foveate.scenario.scenario import Scenario
+from foveate.simulation.records import TRUE, Episode, Observation
+from foveate.simulation.rollout import rollout
 
 PROBLEM = Scenario().problem()
 REVERSING = replace(Scenario(), agent=DifferentialDrive(v_min_m_s=-1.0)).problem()

@@ -10,11 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
+from foveate.experiment.presets import QUADROTOR
 from foveate.policies.pointer import NEVER, PointerSettings
-from foveate.problem import Observation
-from foveate.scenario import Scenario
-from foveate.settings import QUADROTOR
-from foveate.target_settings import LinearTarget
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.target import LinearTarget
+from foveate.simulation.records import Observation
 
 KEY = jax.random.key(0)
 SMALL = PointerSettings(

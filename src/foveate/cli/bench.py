@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from foveate.cli.options import option
 
 if TYPE_CHECKING:
-    from foveate.timing import Metric
+    from foveate.bench.timing import Metric
+
 
 REPEATS, QUICK_REPEATS, YARDSTICK_REPEATS = 9, 3, 3
+
+
 LEAST = {"s": 0.05, "us": 1.0, "1": 0.5, "MiB": 32.0}
 """What is no more than this is noise, and is not held against a baseline."""
 
@@ -41,7 +44,7 @@ class Bench:
     def run_command(self) -> int:
         """Measure, print, write, compare."""
         from foveate.cli.common import check_least, check_output, print_table
-        from foveate.files import write_json
+        from foveate.io.files import write_json
 
         check_output(self.json)
         if not self.episodes:
@@ -89,9 +92,9 @@ class Bench:
         from foveate.learning.devices import use_cores
 
         use_cores()
-        from foveate.benchmarks import measurements
-        from foveate.progress import Bar
-        from foveate.timing import Metric, measure_yardsticks, spread
+        from foveate.bench.timing import Metric, measure_yardsticks, spread
+        from foveate.bench.workloads import measurements
+        from foveate.io.progress import Bar
 
         work = measurements(tuple(dict.fromkeys(self.episodes)), self.quick)
         found: list[Metric] = []
@@ -164,7 +167,7 @@ def _processor() -> str:
 
 def read_ratios(path: Path) -> dict[str, float]:
     """The ratios of a report. Raises ValueError where the file is no such report."""
-    from foveate.files import file_error, read_json
+    from foveate.io.files import file_error, read_json
 
     data: Any = read_json(path, "report of foveate bench")
     try:

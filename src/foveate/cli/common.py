@@ -14,7 +14,7 @@ def keep_compiled() -> None:
     run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place."""
     import jax
 
-    from foveate.files import cache_folder
+    from foveate.io.files import cache_folder
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         jax.config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
@@ -51,7 +51,7 @@ def check_methods(methods: Sequence[str]) -> tuple[str, ...]:
 
 def check_seed(seed: int, name: str = "--seed") -> None:
     """Raise ValueError for a seed that is no seed."""
-    from foveate.checks import seed_number
+    from foveate.io.validate import seed_number
 
     seed_number(seed, name)
 
@@ -78,7 +78,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     """A table on standard output; the first two columns are text, the others numbers."""
     from rich.console import Console
 
-    from foveate.pages import WIDE, Table, draw
+    from foveate.io.tables import WIDE, Table, draw
 
     table = Table(title=title, header=tuple(header), rows=tuple(tuple(row) for row in rows))
     # Not a terminal: no colours, and as wide as the table needs.

@@ -48,7 +48,7 @@ class Evaluate:
         """Evaluate, print the summary, write the files."""
         from foveate.api import evaluate
         from foveate.cli.common import check_least, check_methods, check_output, check_seed, print_table
-        from foveate.scenes import write_scenes
+        from foveate.scenario.scenes import write_scenes
 
         methods = check_methods(self.method)
         for path in (self.json, self.write_scenes):

@@ -27,8 +27,8 @@ class Export:
     def run_command(self) -> int:
         """Load, translate, write, and say what goes in and comes out."""
         from foveate.cli.common import check_output
-        from foveate.export import export, inputs_of
-        from foveate.runs import load
+        from foveate.deploy.onnx.export import export, inputs_of
+        from foveate.experiment.resolve import load
 
         if self.out.suffix.lower() != ".onnx":
             raise ValueError(f"{self.out}: expected a name that ends in .onnx")

@@ -47,10 +47,11 @@ class Fit:
     def run_command(self) -> int:
         """Fit, say what was found, write the experiment."""
         from foveate.cli.common import check_output
-        from foveate.configuration import save_toml
-        from foveate.fit import Robot, fit_experiment
-        from foveate.motion_fit import fit_statistics
-        from foveate.recorded import load_recording, window
+        from foveate.io.toml import save_toml
+        from foveate.recordings.fit import Robot, fit_experiment
+        from foveate.recordings.formats import load_recording
+        from foveate.recordings.motion import fit_statistics
+        from foveate.recordings.recording import window
 
         check_output(self.out, self.recording)
         if self.out.exists():

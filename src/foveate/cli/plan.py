@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from foveate.cli.options import option
 
 if TYPE_CHECKING:
-    from foveate.evaluation import Row
+    from foveate.evaluation.evaluate import Row
+    from foveate.experiment.experiment import Experiment
     from foveate.planning.shooting import PlanSettings
-    from foveate.problem import Policy
-    from foveate.scenes import Scene
-    from foveate.settings import Experiment
+    from foveate.scenario.scenes import Scene
+    from foveate.simulation.records import Policy
 
 
 @dataclass(kw_only=True)
@@ -65,12 +65,12 @@ class Plan:
     def run_command(self) -> int:
         """Plan, print the summary, write the file."""
         from foveate.cli.common import check_output, check_seed, print_table
-        from foveate.configuration import digest
-        from foveate.progress import Bar
-        from foveate.results import summary_table
-        from foveate.runs import scenes_of
-        from foveate.scenes import scenes_digest
-        from foveate.summary import summarise, write_result
+        from foveate.evaluation.report import summary_table
+        from foveate.evaluation.summary import summarise, write_result
+        from foveate.experiment.resolve import scenes_of
+        from foveate.io.progress import Bar
+        from foveate.io.toml import digest
+        from foveate.scenario.scenes import scenes_digest
 
         check_output(self.json, *([self.scenes] if self.scenes else []))
         check_seed(self.seed)
@@ -116,9 +116,10 @@ class Plan:
             raise ValueError("--refine N: begins at the policy's own sequence; no other option of plans fits")
 
     def _experiment(self) -> "Experiment":
-        from foveate.configuration import load_toml
-        from foveate.runs import experiment_of
-        from foveate.settings import PRESETS, Experiment
+        from foveate.experiment.experiment import Experiment
+        from foveate.experiment.presets import PRESETS
+        from foveate.experiment.resolve import experiment_of
+        from foveate.io.toml import load_toml
 
         if self.config is not None:
             return load_toml(Experiment, self.config)
@@ -130,12 +131,12 @@ class Plan:
         return PRESETS[preset]
 
     def _rows(self, experiment: "Experiment", scenes: "list[Scene]", protocol: str, report) -> "list[Row]":
-        from foveate.evaluation import prepare
-        from foveate.files import cache_folder
-        from foveate.planned import planner, planner_rows
+        from foveate.evaluation.bounds import omniscient, omniscient_rows
+        from foveate.evaluation.evaluate import prepare
+        from foveate.evaluation.planners import planner, planner_rows
+        from foveate.experiment.resolve import load
+        from foveate.io.files import cache_folder
         from foveate.planning.receding import OpenLoop
-        from foveate.runs import load
-        from foveate.yardstick import omniscient, omniscient_rows
 
         problem, settings = experiment.scenario.problem(), self._settings(protocol)
         chance = (self.seed, self.episodes)

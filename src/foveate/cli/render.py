@@ -35,12 +35,12 @@ class Render:
 
     def run_command(self) -> int:
         """Simulate the scenes, draw them, say what was written."""
-        from foveate.animation import animate
         from foveate.cli.common import check_methods, check_output, check_seed
-        from foveate.evaluation import prepare
-        from foveate.figures import trajectory_figure
-        from foveate.film import films
-        from foveate.runs import experiment_of, policy_of, scenes_of
+        from foveate.evaluation.evaluate import prepare
+        from foveate.experiment.resolve import experiment_of, policy_of, scenes_of
+        from foveate.plotting.animation import animate
+        from foveate.plotting.episode_data import films
+        from foveate.plotting.figures import trajectory_figure
 
         moving = self.out.suffix.lower() in (".gif", ".mp4")
         if not moving and self.out.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -67,7 +67,7 @@ class Render:
 
     def _chosen(self, known, name: str, moving: bool):
         """The scenes to draw. Raises ValueError for an id that is not there, and several in one moving picture."""
-        from foveate.configuration import suggestion
+        from foveate.io.records import suggestion
 
         by_id = {scene.id: scene for scene in known}
         for scene in self.scene:

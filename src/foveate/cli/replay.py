@@ -55,12 +55,13 @@ class Replay:
         import numpy as np
 
         from foveate.cli.common import check_methods, check_output, check_seed
-        from foveate.files import write_document
-        from foveate.motion_fit import default_max_gap_s
-        from foveate.progress import Bar
-        from foveate.recorded import load_recording, window
-        from foveate.replay import VERSION, prepare_replay, replay, result, warnings_for
-        from foveate.runs import experiment_of, policy_of
+        from foveate.experiment.resolve import experiment_of, policy_of
+        from foveate.io.files import write_document
+        from foveate.io.progress import Bar
+        from foveate.recordings.formats import load_recording
+        from foveate.recordings.motion import default_max_gap_s
+        from foveate.recordings.recording import window
+        from foveate.recordings.replay import VERSION, prepare_replay, replay, result, warnings_for
 
         methods = check_methods(self.method)
         check_output(self.out, folder=True)
@@ -98,7 +99,7 @@ class Replay:
         return 0
 
     def _starts(self, recording, experiment) -> list[list[float]]:
-        from foveate.replay import default_agent_start, random_agent_starts
+        from foveate.recordings.replay import default_agent_start, random_agent_starts
 
         if self.starts < 1:
             raise ValueError(f"--starts {self.starts}: expected >= 1")
@@ -156,9 +157,9 @@ class Replay:
         print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)
 
     def _draw(self, films) -> None:
-        from foveate.animation import animate
-        from foveate.figures import replay_figure
-        from foveate.film import film
+        from foveate.plotting.animation import animate
+        from foveate.plotting.episode_data import film
+        from foveate.plotting.figures import replay_figure
 
         assert self.out is not None, "called with a folder only"
         shots = {}

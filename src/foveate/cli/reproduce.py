@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from foveate.cli.options import option
 
 if TYPE_CHECKING:
-    from foveate.comparison import Comparison
-    from foveate.methods import Method
-    from foveate.study import Study
+    from foveate.study.comparison import Comparison
+    from foveate.study.methods import Method
+    from foveate.study.study import Study
+
 
 WIDE = 175
 """Columns of a terminal that has room for intervals, too."""
@@ -44,7 +45,7 @@ class Reproduce:
     scene_seed: int = 2023
     """Seed of the scenes; table1 proper is the default."""
     add: Annotated[tuple[str, ...], option("FILE.py:NAME ..")] = ()
-    """Methods of your own: records of foveate.methods, or tuples of them, in Python files. Runs these files."""
+    """Methods of your own: records of foveate.study.methods, or tuples of them, in Python files. Runs these files."""
     out: Annotated[Path | None, option("DIR")] = None
     """Folder for all that is written (default: runs/reproduce; -true-view and -quick behind it as asked for)."""
 
@@ -54,10 +55,10 @@ class Reproduce:
 
         if self.quick:
             compile_fast()
-        from foveate.progress import Bar
-        from foveate.publication import publish
-        from foveate.reproduction import reproduce
-        from foveate.study import units
+        from foveate.io.progress import Bar
+        from foveate.study.publish import publish
+        from foveate.study.run import reproduce
+        from foveate.study.study import units
 
         study = self._study()
         suffix = f"{'-true-view' * (self.suite == 'true-view')}{'-quick' * self.quick}"
@@ -79,7 +80,7 @@ class Reproduce:
 
     def _study(self) -> "Study":
         from foveate.cli.common import check_seed
-        from foveate.study import paper_study, true_view_study
+        from foveate.study.study import paper_study, true_view_study
 
         for seed in self.seeds or ():
             check_seed(seed, "--seeds")
@@ -95,7 +96,7 @@ def _own(place: str) -> "list[Method]":
     import importlib.util
     import sys
 
-    from foveate.methods import Method
+    from foveate.study.methods import Method
 
     file, _, name = place.rpartition(":")
     if not file.endswith(".py") or not Path(file).is_file():
@@ -110,7 +111,7 @@ def _own(place: str) -> "list[Method]":
     methods = list(found) if isinstance(found, tuple | list) else [found]
     ours = [method for method in methods if isinstance(method, Method)]
     if not ours or len(ours) < len(methods):
-        raise ValueError(f"--add {place}: expected a record of foveate.methods, or a tuple of them, of that name")
+        raise ValueError(f"--add {place}: expected a record of foveate.study.methods, or a tuple of them, of that name")
     return ours
 
 
@@ -125,8 +126,8 @@ def _slim(cell: str) -> str:
 
 def _print(study: "Study", comparisons: "list[Comparison]") -> None:
     from foveate.cli.common import print_table
-    from foveate.publication import heading
-    from foveate.report import differences, honesty, scores
+    from foveate.study.publish import heading
+    from foveate.study.tables import differences, honesty, scores
 
     print(heading(study))
     kinds = (scores, honesty) if study.suite == "true-view" else (scores, differences)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from foveate.cli.options import option
 
 if TYPE_CHECKING:
-    from foveate.learning.judging import Outcome
-    from foveate.settings import Experiment
+    from foveate.experiment.experiment import Experiment
+    from foveate.experiment.run_folder import Outcome
+
 
 LEARNERS = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 
@@ -101,7 +102,7 @@ class Train:
         """Train in this process."""
         import sys
 
-        from foveate.learning.training import stored_run
+        from foveate.learning.loop import stored_run
 
         if self.resume is not None:
             self._refuse_with_resume()
@@ -139,10 +140,10 @@ class Train:
         """Train, and say how to go on where it is interrupted or fails."""
         import sys
 
-        from foveate.checkpoint import CONFIG
-        from foveate.learner_settings import PPOSettings
+        from foveate.experiment.learners import PPOSettings
+        from foveate.experiment.run_folder import CONFIG
         from foveate.learning.devices import folder_of_this_process
-        from foveate.progress import train_watched
+        from foveate.learning.train import train_watched
 
         try:
             with folder_of_this_process(out, self.resume is not None) as folder:
@@ -155,8 +156,9 @@ class Train:
             raise
 
     def _experiment(self) -> "Experiment":
-        from foveate.configuration import load_toml
-        from foveate.settings import PRESETS, Experiment, adjusted
+        from foveate.experiment.experiment import Experiment
+        from foveate.experiment.presets import PRESETS, adjusted
+        from foveate.io.toml import load_toml
 
         if self.preset is not None and self.config is not None:
             raise ValueError("--preset and --config: each is a whole experiment: give one of them")
@@ -165,7 +167,7 @@ class Train:
 
     def _for_long_horizons(self, experiment: "Experiment") -> "Experiment":
         """The experiment with --remat and --window. Raises ValueError where its learner cannot do what is asked."""
-        from foveate.learner_settings import TrainingSettings
+        from foveate.experiment.learners import TrainingSettings
 
         training, scenes = experiment.training, experiment.scenario.scenes
         if not self.remat and self.window is None and self.coordinator is None:
@@ -182,7 +184,7 @@ class Train:
 
 def _kept(out: Path, by_ppo: bool) -> str:
     """What there is of a training that did not come to its end."""
-    from foveate.checkpoint import BEST, CONFIG
+    from foveate.experiment.run_folder import BEST, CONFIG
 
     if by_ppo:
         return "its best so far is kept" if (out / BEST).exists() else "there is no policy of it yet"

@@ -9,8 +9,8 @@ import tyro
 from foveate.cli.options import option
 
 if TYPE_CHECKING:
-    from foveate.settings import Experiment
-    from foveate.view import Programme
+    from foveate.experiment.experiment import Experiment
+    from foveate.plotting.live.server import Programme
 
 
 @dataclass(kw_only=True)
@@ -62,8 +62,8 @@ class View:
         check_output(self.record, *[name for name in (self.scenes, self.recording) if name])
         check_seed(self.seed)
         check_seed(self.scene_seed, "--scene-seed")
-        from foveate.runs import experiment_of
-        from foveate.view import record, serve
+        from foveate.experiment.resolve import experiment_of
+        from foveate.plotting.live.server import record, serve
 
         experiment = experiment_of(self.run)
         programme = self._recorded(experiment) if self.recording is not None else self._simulated(experiment)
@@ -85,11 +85,11 @@ class View:
         return tuple(dict.fromkeys((self.method, *METHODS)))
 
     def _simulated(self, experiment: "Experiment") -> "Programme":
-        from foveate.configuration import suggestion
-        from foveate.evaluation import prepare
-        from foveate.film import Film, films
-        from foveate.runs import policy_of, scenes_of
-        from foveate.view import Programme
+        from foveate.evaluation.evaluate import prepare
+        from foveate.experiment.resolve import policy_of, scenes_of
+        from foveate.io.records import suggestion
+        from foveate.plotting.episode_data import Film, films
+        from foveate.plotting.live.server import Programme
 
         name, known = scenes_of(self.scenes, self.scene_seed, experiment)
         by_id = {scene.id: scene for scene in known}
@@ -110,12 +110,13 @@ class View:
         import jax.numpy as jnp
         import numpy as np
 
-        from foveate.film import Film, film
-        from foveate.motion_fit import default_max_gap_s
-        from foveate.recorded import load_recording, window
-        from foveate.replay import default_agent_start, prepare_replay, replay, warnings_for
-        from foveate.runs import policy_of
-        from foveate.view import Programme
+        from foveate.experiment.resolve import policy_of
+        from foveate.plotting.episode_data import Film, film
+        from foveate.plotting.live.server import Programme
+        from foveate.recordings.formats import load_recording
+        from foveate.recordings.motion import default_max_gap_s
+        from foveate.recordings.recording import window
+        from foveate.recordings.replay import default_agent_start, prepare_replay, replay, warnings_for
 
         assert self.recording is not None, "called with a recording only"
         if self.scene is not None:

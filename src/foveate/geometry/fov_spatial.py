@@ -8,15 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from foveate.geometry.fov import (
-    FieldOfView,
-    Number,
-    annular_sector_distance,
-    annular_sector_outline,
-    arc,
-    closed,
-    require,
-)
+from foveate.geometry.fov import FieldOfView, Number, require
+from foveate.geometry.fov_planar import annular_sector_distance, annular_sector_outline, arc, closed
 from foveate.geometry.safe import larger, length
 from foveate.types import Scalar
 

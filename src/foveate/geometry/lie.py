@@ -16,39 +16,7 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-_SERIES_TERMS = 9  # the first term left out is below x^9 / 19! = 8e-18 at the switch, x = 1
-
-
-def _series(order: int, x: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """The Stumpff function c_k(x) = sum_j (-x)^j / (2 j + k)!, for 0 <= x <= 1."""
-    total = jnp.zeros_like(x)
-    for j in reversed(range(_SERIES_TERMS)):
-        total = 1.0 / math.factorial(2 * j + order) - x * total
-    return total
-
-
-def _sinc(angle: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """sin(a) / a, smooth at zero."""
-    square = angle * angle
-    small = square < 1.0
-    series = _series(1, jnp.where(small, square, 0.0))
-    return jnp.where(small, series, jnp.sin(angle) / jnp.where(small, 1.0, angle))
-
-
-def _stumpff(x: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], ...]:
-    """c_1..c_4 of x = a^2: sin(a)/a, (1 - cos a)/a^2, (a - sin a)/a^3, (a^2/2 - 1 + cos a)/a^4."""
-    small = x < 1.0
-    square = jnp.where(small, 1.0, x)
-    angle = jnp.sqrt(square)
-    small_x = jnp.where(small, x, 0.0)
-    series_3, series_4 = _series(3, small_x), _series(4, small_x)
-    closed_1, closed_2 = jnp.sin(angle) / angle, (1.0 - jnp.cos(angle)) / square
-    return (
-        jnp.where(small, 1.0 - small_x * series_3, closed_1),
-        jnp.where(small, 0.5 - small_x * series_4, closed_2),
-        jnp.where(small, series_3, (1.0 - closed_1) / square),
-        jnp.where(small, series_4, (0.5 - closed_2) / square),
-    )
+from foveate.geometry.series import SERIES_TERMS, sinc, stumpff
 
 
 def _apply(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b j"]) -> Float[Array, "... i"]:
@@ -61,9 +29,6 @@ def _product(first: Float[Array, "*#b i j"], second: Float[Array, "*#b j k"]) ->
 
 def _apply_transposed(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b i"]) -> Float[Array, "... j"]:
     return jnp.sum(matrix * vector[..., :, None], axis=-2)
-
-
-# --- SE(2) ----------------------------------------------------------------------------------------
 
 
 def _rotate(angle: Float[Array, "*#b"], vector: Float[Array, "*#b 2"]) -> Float[Array, "... 2"]:
@@ -102,21 +67,21 @@ def move_se2(pose: Float[Array, "*#b 3"], twist: Float[Array, "*#b 3"]) -> Float
     position' = position + sinc(w/2) R(yaw + w/2) v. This has no 1 - cos w to cancel, and needs R only once.
     """
     half_turn = 0.5 * twist[..., 2]
-    chord = _rotate(pose[..., 2] + half_turn, _sinc(half_turn)[..., None] * twist[..., :2])
+    chord = _rotate(pose[..., 2] + half_turn, sinc(half_turn)[..., None] * twist[..., :2])
     return _planar(pose[..., :2] + chord, pose[..., 2] + twist[..., 2])
 
 
 def exp_se2(twist: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """exp(hat(twist)) as a pose: [sinc(w/2) R(w/2) v, w]."""
     half_turn = 0.5 * twist[..., 2]
-    return _planar(_rotate(half_turn, _sinc(half_turn)[..., None] * twist[..., :2]), twist[..., 2])
+    return _planar(_rotate(half_turn, sinc(half_turn)[..., None] * twist[..., :2]), twist[..., 2])
 
 
 def log_se2(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """log(T)^v, the twist of least turn that leads to a pose: w in (-pi, pi] is the wrapped yaw."""
     yaw = pose[..., 2]
     w = yaw - 2.0 * math.pi * jnp.ceil((yaw - math.pi) / (2.0 * math.pi))
-    return _planar(_rotate(-0.5 * w, pose[..., :2] / _sinc(0.5 * w)[..., None]), w)
+    return _planar(_rotate(-0.5 * w, pose[..., :2] / sinc(0.5 * w)[..., None]), w)
 
 
 def compose_se2(first: Float[Array, "*#b 3"], second: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:
@@ -138,9 +103,6 @@ def act_se2(pose: Float[Array, "*#b 3"], point_body: Float[Array, "*#b 2"]) -> F
 def body_point_se2(pose: Float[Array, "*#b 3"], point_world: Float[Array, "*#b 2"]) -> Float[Array, "... 2"]:
     """The body-frame point q = Q T^-1 [zeta; 1] = R(yaw)^T (zeta - position) of a world position zeta."""
     return _rotate(-pose[..., 2], point_world - pose[..., :2])
-
-
-# --- SO(3) ----------------------------------------------------------------------------------------
 
 
 def _matrix(rows: list[list[Float[Array, "*b"]]]) -> Float[Array, "*b i j"]:
@@ -172,7 +134,7 @@ def vee_so3(skew: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
 
 def exp_so3(w: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     """Rodrigues: exp(w^) = I + sin(a)/a w^ + (1 - cos a)/a^2 (w^)^2, a = |w|."""
-    c_1, c_2, _, _ = _stumpff(jnp.sum(w * w, axis=-1))
+    c_1, c_2, _, _ = stumpff(jnp.sum(w * w, axis=-1))
     return _axis_series(w, c_1, c_2)
 
 
@@ -181,7 +143,7 @@ def left_jacobian_so3(w: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
 
     exp((w + dw)^) = exp((J dw)^) exp(w^) to first order in dw.
     """
-    _, c_2, c_3, _ = _stumpff(jnp.sum(w * w, axis=-1))
+    _, c_2, c_3, _ = stumpff(jnp.sum(w * w, axis=-1))
     return _axis_series(w, c_2, c_3)
 
 
@@ -190,7 +152,7 @@ def inverse_left_jacobian_so3(w: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]
 
     The last coefficient is (c_3 - 2 c_4) / (2 c_2) in Stumpff functions, which does not cancel at a = 0.
     """
-    _, c_2, c_3, c_4 = _stumpff(jnp.sum(w * w, axis=-1))
+    _, c_2, c_3, c_4 = stumpff(jnp.sum(w * w, axis=-1))
     return _axis_series(w, -0.5, (c_3 - 2.0 * c_4) / (2.0 * c_2))
 
 
@@ -231,7 +193,7 @@ def log_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
     small = square < 0.01  # below 0.2 rad the closed form would lose digits of its second derivative
     ratio = jnp.where(small, square, 0.0) / jnp.where(small, q_w * q_w, 1.0)
     series = jnp.zeros_like(ratio)
-    for j in reversed(range(_SERIES_TERMS)):  # atan(t)/t; t^2 < 0.0102, so t^18/19 < 1e-19 is left out
+    for j in reversed(range(SERIES_TERMS)):  # atan(t)/t; t^2 < 0.0102, so t^18/19 < 1e-19 is left out
         series = 1.0 / (2 * j + 1) - ratio * series
     length = jnp.sqrt(jnp.where(small, 1.0, square))
     scale = jnp.where(small, series / jnp.where(small, q_w, 1.0), jnp.arctan2(length, q_w) / length)
@@ -251,9 +213,6 @@ def compose_so3(first: Float[Array, "*#b 3 3"], second: Float[Array, "*#b 3 3"])
 def act_so3(rotation: Float[Array, "*#b 3 3"], point_body: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:
     """The rotated point R q."""
     return _apply(rotation, point_body)
-
-
-# --- SE(3) ----------------------------------------------------------------------------------------
 
 
 def _transform(rotation: Float[Array, "*b 3 3"], position: Float[Array, "*b 3"]) -> Float[Array, "*b 4 4"]:

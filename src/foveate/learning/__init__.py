@@ -1,0 +1,1 @@
+"""Learners: policy gradient, actor-critic, PPO, and the loop around them."""

@@ -16,16 +16,18 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
-from foveate.episodes import training_episode
-from foveate.learner_settings import ActorCriticSettings, Objective
-from foveate.learning.policy_gradient import Learner, Report, step_scores
-from foveate.linalg import log_det_spd
+from foveate.experiment.learners import ActorCriticSettings, Objective
+from foveate.geometry.linalg import log_det_spd
+from foveate.learning.learner import Learner, Report
+from foveate.learning.objective import step_scores
+from foveate.models.problem import Problem
 from foveate.policies.inputs import rich_numbers
 from foveate.policies.layers import Layers, fresh_layers
 from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder
-from foveate.problem import Episode, Observation, Policy, Problem, per_target
-from foveate.rollout import PROTOCOLS, Protocol, act, instants, observe, predict, start
-from foveate.scenario import SceneSettings
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, Protocol, per_target
+from foveate.simulation.step import act, instants, observe, predict, start
 from foveate.types import Action, Key, Scalar
 
 CRITIC_WIDTH, CRITIC_QUERIES, CRITIC_LENGTH_M = 64, 4, 5.0

@@ -21,10 +21,16 @@ from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 AXIS = "episodes"
+
+
 HEARTBEAT_S = 20
 """A process that was silent for so long [s] is lost."""
+
+
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Where Linux says how much of its cores a container may use: microseconds, or max, in so many."""
+
+
 T = TypeVar("T")
 
 

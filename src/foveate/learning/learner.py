@@ -1,42 +1,58 @@
-"""The one place that knows which learner an experiment asks for."""
+"""What all learners with epochs share: their state, what one epoch reports, and the compiled loop of epochs."""
 
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
-from foveate.checkpoint import CONFIG
-from foveate.files import LOCK, sole_writer
-from foveate.learning import ppo, training
-from foveate.learning.judging import Check, Outcome, require_free
-from foveate.settings import Experiment, PPOSettings
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool
+
+from foveate.simulation.records import Policy
+from foveate.types import Count, Key, Scalar
 
 
-def train(
-    experiment: Experiment,
-    out: Path,
-    seed: int = 0,
-    resume: bool = False,
-    report: Callable[[Check, int], None] = lambda check, total: None,
-) -> Outcome:
-    """Train a policy into the run folder `out` by the experiment's own algorithm; `report` is called at every check.
+class Learner(eqx.Module):
+    """Everything that one epoch hands on to the next."""
 
-    Raises ValueError where `out` already holds a run (or, resumed, another one), or another process trains into it, and
-    where PPO is to be resumed.
+    policy: Policy
+    optimizer: optax.OptState
+    epoch: Count
+    critic: Any = None
+    """What only learning needs beside the policy: nothing here, a network of its own for who learns by trying."""
+
+
+class Report(eqx.Module):
+    """One epoch in numbers: the objective, the gradient's norm before its bound, and all finite?"""
+
+    objective: Scalar
+    gradient_norm: Scalar
+    finite: Bool[Array, ""]
+
+
+Advance = Callable[[Learner, Key], tuple[Learner, Report]]
+"""One epoch of a learner."""
+
+
+def epochs(advance: Advance, count: Count, learner: Learner, key: Key) -> tuple[Learner, Report]:
+    """`count` epochs in one compiled loop: the mean of what is ascended, the largest norm, and whether all were finite.
+
+    An epoch that is not finite changes nothing: the learner stays as it was before it.
     """
-    by_ppo = isinstance(experiment.training, PPOSettings)
-    if resume and by_ppo:
-        raise ValueError(f"{out}: PPO cannot go on where it was: train it anew")
-    if resume and not (out / CONFIG).exists():
-        raise ValueError(f"{out}: holds no training to go on with: begin one there")
-    if not resume:
-        require_free(out, experiment)
-        out.mkdir(parents=True, exist_ok=True)
-    with sole_writer(out):
-        try:
-            if by_ppo:
-                return ppo.train(experiment, out, seed, report)
-            return training.train(experiment, out, seed, resume, report)
-        except ValueError:
-            if [path.name for path in out.iterdir()] == [LOCK]:  # refused before anything was written
-                (out / LOCK).unlink()
-                out.rmdir()
-            raise
+    arrays, static = eqx.partition(learner, eqx.is_array)
+
+    def step(_, carry):
+        arrays, total = carry
+        after, now = advance(eqx.combine(arrays, static), key)
+        kept = jax.tree.map(lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays)
+        sums = Report(
+            total.objective + now.objective,
+            jnp.maximum(total.gradient_norm, now.gradient_norm),
+            total.finite & now.finite,
+        )
+        return kept, sums
+
+    nothing = Report(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
+    arrays, total = jax.lax.fori_loop(0, count, step, (arrays, nothing))
+    return eqx.combine(arrays, static), Report(total.objective / count, total.gradient_norm, total.finite)

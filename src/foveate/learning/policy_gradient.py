@@ -3,46 +3,30 @@
 Reverse mode through one scan, so the cost does not grow with the number of parameters.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from foveate.episodes import training_episode
-from foveate.learner_settings import TrainingSettings
+from foveate.experiment.learners import TrainingSettings
 from foveate.learning.gradient import mean_and_gradient
-from foveate.problem import Episode, Policy, Problem, per_target
-from foveate.rollout import log_dets, weights
-from foveate.scenario import SceneSettings
-from foveate.types import Count, Key, Scalar
+from foveate.learning.learner import Learner, Report
+from foveate.learning.objective import episode_score, step_scores
+from foveate.models.problem import Problem
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import Episode, Policy
+from foveate.simulation.rollout import log_dets, weights
+from foveate.types import Key
 
 TARGETS = {"cpu": 256}
 """Targets, padding counted, that a device works on at once where nothing else is asked for: on a CPU what a core's own
 cache holds."""
+
+
 OTHERWISE = 131072
 """The same on an accelerator."""
-
-
-class Learner(eqx.Module):
-    """Everything that one epoch hands on to the next."""
-
-    policy: Policy
-    optimizer: optax.OptState
-    epoch: Count
-    critic: Any = None
-    """What only learning needs beside the policy: nothing here, a network of its own for who learns by trying."""
-
-
-class Report(eqx.Module):
-    """One epoch in numbers: the objective, the gradient's norm before its bound, and all finite?"""
-
-    objective: Scalar
-    gradient_norm: Scalar
-    finite: Bool[Array, ""]
 
 
 def optimizer(settings: TrainingSettings) -> optax.GradientTransformation:
@@ -62,22 +46,6 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
 def together(settings: TrainingSettings, scenes: SceneSettings) -> int:
     """Episodes that a device works on at once: as many as asked for, or as have so many targets as it holds best."""
     return settings.together or max(1, TARGETS.get(jax.default_backend(), OTHERWISE) // scenes.targets_max)
-
-
-def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:
-    """The mean over targets of what each is worth after every step."""
-    arrivals = episode.arrivals
-    # A target that has just come could not be measured yet.
-    present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
-    return per_target(values, jnp.broadcast_to(present, values.shape))
-
-
-def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
-    """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
-    score = step_scores(values, episode)
-    if terminal:
-        return score[episode.horizon - 1]
-    return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
 
 
 def objective(
@@ -113,30 +81,3 @@ def epoch(
     policy = eqx.apply_updates(learner.policy, updates)
     report = Report(-value, norm, jnp.isfinite(value) & jnp.isfinite(norm))
     return Learner(policy, state, learner.epoch + 1), report
-
-
-Advance = Callable[[Learner, Key], tuple[Learner, Report]]
-"""One epoch of a learner."""
-
-
-def epochs(advance: Advance, count: Count, learner: Learner, key: Key) -> tuple[Learner, Report]:
-    """`count` epochs in one compiled loop: the mean of what is ascended, the largest norm, and whether all were finite.
-
-    An epoch that is not finite changes nothing: the learner stays as it was before it.
-    """
-    arrays, static = eqx.partition(learner, eqx.is_array)
-
-    def step(_, carry):
-        arrays, total = carry
-        after, now = advance(eqx.combine(arrays, static), key)
-        kept = jax.tree.map(lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays)
-        sums = Report(
-            total.objective + now.objective,
-            jnp.maximum(total.gradient_norm, now.gradient_norm),
-            total.finite & now.finite,
-        )
-        return kept, sums
-
-    nothing = Report(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
-    arrays, total = jax.lax.fori_loop(0, count, step, (arrays, nothing))
-    return eqx.combine(arrays, static), Report(total.objective / count, total.gradient_norm, total.finite)

@@ -28,10 +28,11 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from foveate.geometry import lie
-from foveate.linalg import inverse_spd, log_det_spd
+from foveate.geometry.linalg import inverse_spd, log_det_spd
 from foveate.models.belief import predict_information
+from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness, detection_weight
-from foveate.problem import Episode, Observation, Policy, Problem, first_information
+from foveate.simulation.records import Episode, Observation, Policy
 from foveate.types import Point, Pose, Scalar, Twist
 
 
@@ -51,11 +52,13 @@ def policy_gradient(
     """sum_j log det Y_K^(j) of a noise-free episode in space [nat], and its gradient by the policy's parameters.
 
     The gradient has the structure of the policy's floating-point arrays. Memory grows as n_p n n_y^2. Raises
-    ValueError for a planar problem (lift it: `foveate.lifting`), an episode with truth or arrivals, and a policy
+    ValueError for a planar problem (lift it: `foveate.simulation.planar_in_space`), an episode with truth or arrivals, and a policy
     that keeps a memory.
     """
     if problem.agent.space.dimension != 3:
-        raise ValueError("Proposition 1 is stated for SE(3): lift a planar problem first (foveate.lifting)")
+        raise ValueError(
+            "Proposition 1 is stated for SE(3): lift a planar problem first (foveate.simulation.planar_in_space)"
+        )
     if episode.truth is not None or episode.arrivals is not None:
         raise ValueError("Proposition 1 supposes a noise-free episode: expected neither truth nor arrivals")
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)

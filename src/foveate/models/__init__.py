@@ -1,0 +1,1 @@
+"""Agent, target, sensor and belief as equations, for one target, unbatched."""

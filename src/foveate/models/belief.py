@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from foveate.linalg import inverse_spd, multiply, symmetrise
+from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.target import LinearGaussian
 from foveate.types import Information, Mean
 

@@ -8,11 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from scipy.special import gammaincinv
 
-from foveate.linalg import inverse_spd, multiply, symmetrise
+from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.belief import Belief
 
 GATE = 0.9999
 """Refuses one honest measurement in ten thousand."""
+
+
 RESTART_AFTER = 5
 """The last of so many refusals in a row is taken, and the belief begins anew with it: the target has really jumped."""
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.fov import FieldOfView
-from foveate.linalg import inverse_spd, multiply
+from foveate.geometry.linalg import inverse_spd, multiply
 
 
 class Softness(NamedTuple):

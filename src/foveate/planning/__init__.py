@@ -1,0 +1,1 @@
+"""Receding-horizon and omniscient planners."""

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from foveate.linalg import inverse_spd, log_det_spd, multiply, symmetrise
+from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models import belief
+from foveate.models.problem import Problem
 from foveate.models.sensor import Softness, detection_weight
 from foveate.models.target import LinearGaussian
-from foveate.problem import Problem
 from foveate.types import Count, Pose
 
 

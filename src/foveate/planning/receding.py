@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.models.problem import Problem
 from foveate.models.sensor import Softness
 from foveate.planning.information import Future
 from foveate.planning.shooting import PlanSettings, plan
 from foveate.planning.tours import straight_ahead
-from foveate.problem import Observation, Policy, Problem
-from foveate.rollout import Instant, Protocol, State, act, observe, predict
+from foveate.simulation.records import Instant, Observation, Policy, Protocol, State
+from foveate.simulation.step import act, observe, predict
 from foveate.types import Action, Count, Key
 
 SURE = 0.99

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.information import Future, score
 from foveate.planning.tours import straight_ahead, tours
-from foveate.problem import Problem
 from foveate.types import Key, Scalar
 
 CHECK_EVERY = 10
@@ -54,13 +54,19 @@ class PlanSettings:
 
 
 PAPER = (PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa)
+
+
 PUBLISHED = PlanSettings(starts=1, iterations=100, learning_rate=0.1, first=PAPER, last=PAPER, keep=PAPER)
 """One start and one level of the view, as in the publication; step size and iterations are ours."""
+
+
 OMNISCIENT = {
     "surrogate": PlanSettings(first=(4.0, 0.8), last=PAPER, keep=PAPER),
     "true": PlanSettings(),
 }
 """The best that was found for each protocol's score, with all inputs known."""
+
+
 ONLINE = {
     "surrogate": PlanSettings(starts=1, iterations=30, learning_rate=0.1, last=PAPER, keep=PAPER),
     "true": PlanSettings(

@@ -9,17 +9,23 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.fov_spatial import Prism
+from foveate.models.problem import Problem
 from foveate.planning.information import Future
-from foveate.policies.handmade import twist_towards
-from foveate.problem import Problem
+from foveate.policies.heuristics import twist_towards
 from foveate.types import Key, Scalar
 
 FULLEST = 0.9
 """How near to the limits of the controls a tour goes: at them tanh has no gradient."""
+
+
 DWELL = 3
 """Most looks that a tour spends on a target before it turns to the next."""
+
+
 SPREAD = 0.7
 """Standard deviation of the logarithm of a tour's taste for each target."""
+
+
 JITTER = 0.2
 """Standard deviation of the noise on a tour's raw actions."""
 

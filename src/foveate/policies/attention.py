@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 
 from foveate.geometry.space import Space
+from foveate.models.problem import Problem
 from foveate.policies.inputs import Frame, Scale, policy_inputs
 from foveate.policies.layers import fresh_layers, masked_softmax
-from foveate.problem import Observation, Policy, Problem
+from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
 

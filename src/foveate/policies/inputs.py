@@ -5,20 +5,33 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.geometry.linalg import multiply, vech
 from foveate.geometry.space import Space
-from foveate.linalg import multiply, vech
-from foveate.problem import Observation, Problem
+from foveate.models.problem import Problem
+from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
 Frame = Literal["body", "world"]
+
+
 Scale = Literal["plain", "asinh"]
+
+
 LEAST_RANGE_M = 0.1
 """Below this the direction of a target fades out: at the agent itself it has none."""
+
+
 HORIZON_STEPS = 10.0
 """Steps left are told in this unit, and no further ahead than MOST_UNITS of it."""
+
+
 MOST_UNITS = 3.0
+
+
 LAST_STEPS = 3.0
 """Over so many steps the end comes into sight, as exp(-left / LAST_STEPS)."""
+
+
 USUAL_TARGETS = 5.0
 """The number of targets is told in this unit."""
 

@@ -16,9 +16,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.space import Space
+from foveate.models.problem import Problem
 from foveate.policies.inputs import rich_inputs, rich_numbers
 from foveate.policies.layers import Layers, fresh_layers, masked_softmax
-from foveate.problem import Observation, Policy, Problem
+from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
 NEVER = -1e9

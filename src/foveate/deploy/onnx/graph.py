@@ -1,0 +1,193 @@
+"""ONNX nodes for what networks are made of: dense layers, softmax over targets, inputs in the agent's frame, log(T)^v.
+
+Every array has a leading batch axis b; n, the number of targets, is free too and may be 0. All numbers are float32.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from onnx import NodeProto, TensorProto, helper, numpy_helper
+
+from foveate.geometry.space import Space
+from foveate.policies.inputs import Scale
+
+LOWEST = np.finfo(np.float32).min
+
+
+COTANGENT = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
+"""The series of (1 - (a/2) cot(a/2)) / a^2 in a^2; at 1 rad the first term left out is below 1e-11."""
+
+
+class Graph:
+    """Nodes and constants as they are added. `graph("Add", x, y)` adds a node and gives its output's name; whatever is
+    no name is a constant."""
+
+    def __init__(self) -> None:
+        self.nodes: list[NodeProto] = []
+        self.constants: list[TensorProto] = []
+
+    def __call__(self, kind: str, *inputs: Any, output: str = "", **attributes: Any) -> str:
+        names = [each if isinstance(each, str) else self.constant(each) for each in inputs]
+        output = output or f"{kind}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, names, [output], name=output, **attributes))
+        return output
+
+    def constant(self, value: Any) -> str:
+        """The name of a constant: int64 for whole numbers, else float32."""
+        array = np.asarray(value)
+        array = array.astype(np.int64 if array.dtype.kind in "iu" else np.float32)
+        name = f"constant_{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        return name
+
+    def dense(self, x: str, layer: Any) -> str:
+        """W x + b along the last axis."""
+        return self("Add", self("MatMul", x, np.asarray(layer.weight).T), np.asarray(layer.bias))
+
+    def chain(self, x: str, layers: Any) -> str:
+        """Layers with a ReLU after each."""
+        for layer in layers:
+            x = self("Relu", self.dense(x, layer))
+        return x
+
+    def gathered(self, targets: str, scores: str) -> str:
+        """The mean of the targets (b, n, e) under each row's softmax of scores (b, h, n): shape (b, h, e).
+
+        Only targets that are present count; without any, the mean is 0.
+        """
+        present = self("Unsqueeze", "present", [1])
+        powers = self("Softmax", self("Where", present, scores, LOWEST), axis=-1)
+        # Where all are absent the lowest score is everyone's, and the softmax not 0.
+        return self("MatMul", self("Where", present, powers, 0.0), targets)
+
+
+class BodyInputs(NamedTuple):
+    """Names: state (b, n, n_y) and packed information (b, n, p) in the agent's frame, and R^T's product with a vector
+    of the world is `vector @ turn` with turn (b, d, d)."""
+
+    mean: str
+    information: str
+    turn: str
+
+
+def body_inputs(graph: Graph, space: Space, state_size: int) -> BodyInputs:
+    """Mean and information matrix of every target, turned into the agent's frame (as `policies.inputs`)."""
+    d, order = space.dimension, state_size // space.dimension
+    if d == 2:
+        yaw = graph("Gather", "pose", [2], axis=1)
+        numbers = graph("Concat", graph("Cos", yaw), graph("Sin", yaw), axis=1)
+        parts = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]]], float)  # R = cos I + sin J
+        pose, places = "pose", [0, 1]
+    else:
+        pose = numbers = graph("Reshape", "pose", [-1, 16])
+        places = [3, 7, 11]
+        parts = np.zeros((16, 3, 3))
+        for i, j in np.ndindex(3, 3):
+            parts[4 * i + j, i, j] = 1.0
+    # diag(R, R, ..) is linear in the numbers of R, and so is the position in those of the pose.
+    whole = np.stack([np.kron(np.eye(order), part).ravel() for part in parts])
+    turn_state = graph("Reshape", graph("MatMul", numbers, whole), [-1, 1, state_size, state_size])
+    turn = graph("Reshape", graph("MatMul", numbers, parts.reshape(len(parts), -1)), [-1, d, d])
+    shift = np.zeros((3 if d == 2 else 16, state_size))
+    shift[places, range(d)] = 1.0
+    position = graph("Unsqueeze", graph("MatMul", pose, shift), [1])
+    mean = graph("MatMul", graph("Sub", "mean", position), graph("Squeeze", turn_state, [1]))
+    half = graph("MatMul", "information", turn_state)
+    turned = graph("MatMul", graph("Transpose", turn_state, perm=[0, 1, 3, 2]), half)
+    return BodyInputs(mean, packed(graph, turned, state_size), turn)
+
+
+def packed(graph: Graph, information: str, state_size: int) -> str:
+    """The lower triangle, row by row: (b, n, n_y, n_y) to (b, n, p)."""
+    rows, columns = np.tril_indices(state_size)
+    flat = graph("Reshape", information, [0, 0, state_size**2])
+    return graph("Gather", flat, rows * state_size + columns, axis=2)
+
+
+def features(graph: Graph, mean: str, information: str, length_m: float, scale: Scale) -> str:
+    """What is said of each target; zeros where none is present, whatever stands there."""
+    known = graph("Asinh", information) if scale == "asinh" else information
+    both = graph("Concat", graph("Div", mean, length_m), known, axis=2)
+    return only_present(graph, both)
+
+
+def only_present(graph: Graph, values: str) -> str:
+    """Zeros where no target is present."""
+    return graph("Where", graph("Unsqueeze", "present", [2]), values, 0.0)
+
+
+def logarithm(graph: Graph, space: Space) -> str:
+    """log(T)^v of the pose, shape (b, n_u), as `Space.log`."""
+    return _planar_logarithm(graph) if space.dimension == 2 else _spatial_logarithm(graph)
+
+
+def _planar_logarithm(graph: Graph) -> str:
+    """[R(-w/2) position / sinc(w/2); w], w the yaw wrapped to (-pi, pi]."""
+    yaw = graph("Gather", "pose", [2], axis=1)
+    turns = graph("Ceil", graph("Div", graph("Sub", yaw, np.pi), 2 * np.pi))
+    w = graph("Sub", yaw, graph("Mul", turns, 2 * np.pi))
+    half = graph("Mul", w, 0.5)
+    cos, sin = graph("Cos", half), graph("Sin", half)
+    zero = graph("Equal", half, 0.0)
+    sinc = graph("Where", zero, 1.0, graph("Div", sin, graph("Where", zero, 1.0, half)))
+    x, y = (graph("Div", graph("Gather", "pose", [i], axis=1), sinc) for i in (0, 1))
+    ahead = graph("Add", graph("Mul", cos, x), graph("Mul", sin, y))
+    left = graph("Sub", graph("Mul", cos, y), graph("Mul", sin, x))
+    return graph("Concat", ahead, left, w, axis=1)
+
+
+def _quaternion(graph: Graph) -> tuple[str, str]:
+    """q_w >= 0 (b, 1) and n (b, 3) of the pose's rotation: the row of 4 q q^T with the largest diagonal, scaled."""
+    outer = np.zeros((16, 16))  # from the 16 numbers of the pose to those of 4 q q^T - I
+
+    def put(place: tuple[int, int], *terms: tuple[int, int, int]) -> None:
+        for sign, i, j in terms:
+            for row, column in {place, place[::-1]}:
+                outer[4 * i + j, 4 * row + column] += sign
+
+    for row, signs in enumerate(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))):
+        put((row, row), *((sign, i, i) for i, sign in enumerate(signs)))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1)), start=1):
+        put((0, k), (1, j, i), (-1, i, j))
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        put((i + 1, j + 1), (1, i, j), (1, j, i))
+    numbers = graph("MatMul", graph("Reshape", "pose", [-1, 16]), outer)
+    rows = graph("Reshape", graph("Add", numbers, np.eye(4).ravel()), [-1, 4, 4])
+    diagonal = graph("Gather", graph("Reshape", rows, [-1, 16]), [0, 5, 10, 15], axis=1)
+    largest = graph("ArgMax", diagonal, axis=1, keepdims=1)
+    row = graph("GatherND", rows, largest, batch_dims=1)
+    first = graph("Gather", row, [0], axis=1)
+    row = graph("Mul", row, graph("Where", graph("Less", first, 0.0), -1.0, 1.0))
+    unit = graph("Div", row, graph("Sqrt", graph("ReduceSum", graph("Mul", row, row), [1])))
+    return graph("Gather", unit, [0], axis=1), graph("Gather", unit, [1, 2, 3], axis=1)
+
+
+def _spatial_logarithm(graph: Graph) -> str:
+    """[J(w)^-1 position; w]: w = 4 atan(|n| / (1 + q_w)) n / |n|, J^-1 p = p - w x p / 2 + c w x (w x p)."""
+    q_w, n = _quaternion(graph)
+    sine = graph("Sqrt", graph("ReduceSum", graph("Mul", n, n), [1]))
+    tangent = graph("Div", sine, graph("Add", q_w, 1.0))
+    tiny = graph("Less", tangent, 1e-6)
+    safe = graph("Where", tiny, 1.0, tangent)
+    ratio = graph("Where", tiny, 1.0, graph("Div", graph("Atan", safe), safe))
+    w = graph("Mul", n, graph("Div", graph("Mul", ratio, 4.0), graph("Add", q_w, 1.0)))
+    square = graph("ReduceSum", graph("Mul", w, w), [1])
+    small = graph("Less", square, 1.0)
+    series = graph.constant(COTANGENT[-1])
+    for term in COTANGENT[-2::-1]:
+        series = graph("Add", graph("Mul", series, graph("Where", small, square, 0.0)), term)
+    angle = graph("Sqrt", graph("Where", small, 1.0, square))
+    cotangent = graph("Div", graph("Mul", graph("Mul", angle, 0.5), q_w), graph("Where", small, 1.0, sine))
+    closed = graph("Div", graph("Sub", 1.0, cotangent), graph("Where", small, 1.0, square))
+    c = graph("Where", small, series, closed)
+    position = graph("Gather", graph("Reshape", "pose", [-1, 16]), [3, 7, 11], axis=1)
+    once = _cross(graph, w, position)
+    twice = _cross(graph, w, once)
+    v = graph("Add", graph("Sub", position, graph("Mul", once, 0.5)), graph("Mul", c, twice))
+    return graph("Concat", v, w, axis=1)
+
+
+def _cross(graph: Graph, a: str, b: str) -> str:
+    """a x b of rows (b, 3)."""
+    (a_1, a_2), (b_1, b_2) = ([graph("Gather", x, order, axis=1) for order in ([1, 2, 0], [2, 0, 1])] for x in (a, b))
+    return graph("Sub", graph("Mul", a_1, b_2), graph("Mul", a_2, b_1))

@@ -1,0 +1,1 @@
+"""Scores, errors, intervals and bounds of any policy on any scenes."""

@@ -1,0 +1,193 @@
+"""How well a policy did, honestly: every method on the same scenes, the same noise, under both protocols."""
+
+import os
+import time
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from foveate.evaluation.metrics import measures
+from foveate.models.problem import Problem
+from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.simulation.episodes import scene_episodes
+from foveate.simulation.records import PROTOCOLS, Episode, Policy, Protocol, Trace, Truth
+from foveate.simulation.rollout import rollout
+from foveate.simulation.step import observe, predict, start
+
+CHUNK = 256
+"""Episodes that run side by side: bounds memory, and every suite runs the same compiled program."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One episode of one method under one protocol.
+
+    `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both null
+    without targets. `seen_fraction`: targets really measured at least once; `seen_step_fraction`: measured targets
+    among all targets of all steps; `longest_unseen_s`: the longest time any target went without a measurement.
+    `rmse_m` and `nees` (honest: the state's length) at the horizon, over the targets; also over those alone that were
+    measured at least once, and those that never were, null where there are none. `step_time_s`: one compiled decision,
+    alone, on this machine.
+    """
+
+    scene: str
+    episode: int
+    seed: int
+    method: str
+    protocol: str
+    motion: str
+    targets: int
+    score: float | None
+    seen_fraction: float
+    seen_step_fraction: float
+    longest_unseen_s: float
+    entropy: float | None
+    rmse_m: float
+    nees: float
+    rmse_seen_m: float | None
+    rmse_unseen_m: float | None
+    nees_seen: float | None
+    nees_unseen: float | None
+    step_time_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Scenes and the chance in them, ready to run: what every method gets alike."""
+
+    problem: Problem
+    scenes: tuple[Scene, ...]
+    episodes_per_scene: int
+    seed: int
+    episodes: Episode
+    truth: Truth
+
+
+def prepare(
+    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int = 0, episodes: int = 1
+) -> Suite:
+    """Draw the chance of `episodes` runs of every scene from (seed, scene id, episode)."""
+    drawn = scene_episodes(problem, settings, scenes, seed, episodes)
+    assert drawn.truth is not None, "scene_episodes always draws the truth"
+    return Suite(
+        problem=problem, scenes=tuple(scenes), episodes_per_scene=episodes, seed=seed, episodes=drawn, truth=drawn.truth
+    )
+
+
+@eqx.filter_jit
+def _run(problem: Problem, policy: Policy, episodes: Episode, protocol: Protocol, keys) -> Trace:
+    return jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
+
+
+@jax.jit
+def _keys(key, names, runs):
+    """The policy's own chance: like all other, from (seed, scene id, episode) alone."""
+    return jax.vmap(lambda name, run: jax.random.fold_in(jax.random.fold_in(key, name), run))(names, runs)
+
+
+def policy_keys(suite: Suite) -> jax.Array:
+    """The key of a policy's own chance in every episode."""
+    names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
+    runs = np.arange(len(names)) % suite.episodes_per_scene
+    return _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
+
+
+def simulate(
+    suite: Suite,
+    policy: Policy,
+    protocol: Protocol,
+    chunk: int = CHUNK,
+    report: Callable[[int], None] = lambda done: None,
+) -> Trace:
+    """Every episode of the suite; a leading axis of episodes, as numpy arrays.
+
+    `chunk` episodes run in one program, and as many of these as there are cores side by side; `report` is called
+    with the number of episodes that are done.
+    """
+    count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
+
+    def run(first: int) -> Trace:
+        rows = np.minimum(np.arange(first, first + chunk), count - 1)
+        trace = _run(suite.problem, policy, jax.tree.map(lambda x: x[rows], suite.episodes), protocol, keys[rows])
+        return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
+
+    parts = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for part in pool.map(run, range(0, count, chunk)):
+            parts.append(part)
+            report(min(count, chunk * len(parts)))
+    return jax.tree.map(lambda *pieces: np.concatenate(pieces), *parts)
+
+
+def decision_time(
+    problem: Problem, policy: Policy, episode: Episode, repeats: int = 30, with_start: bool = False
+) -> float:
+    """Median time of one compiled decision for one agent [s], called alone and waited for.
+
+    `with_start` adds each decision's share of the policy's start, for those that think there.
+    """
+    steps = jax.tree.map(lambda x: x[0], episode.inputs)
+    predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), steps)
+    observation, key = observe(predicted, steps, episode.horizon), jax.random.key(0)
+    arrays, static = eqx.partition(policy, eqx.is_array)
+    begin = jax.jit(lambda arrays, observation: eqx.combine(arrays, static).start(observation))
+    decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen))
+    memory = begin(arrays, observation)
+    decision = _median_time(lambda: decide(arrays, observation, memory, key), repeats)
+    if not with_start:
+        return decision
+    return decision + _median_time(lambda: begin(arrays, observation), repeats) / int(episode.horizon)
+
+
+def _median_time(call: Callable[[], Any], repeats: int) -> float:
+    """Median wall time of a call that is waited for [s], after one that does not count."""
+    jax.block_until_ready(call())
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
+
+
+def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]) -> list[Row]:
+    """Run a policy on a suite under each protocol: one row an episode."""
+    protocols = tuple(protocols)
+    with ThreadPoolExecutor() as pool:  # compilation, most of the wait, runs side by side
+        traces = list(pool.map(lambda name: simulate(suite, policy, PROTOCOLS[name]), protocols))
+    step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
+    times = [step_time] * len(suite.truth.state)
+    return [
+        row
+        for protocol, trace in zip(protocols, traces, strict=True)
+        for row in rows_of(suite, method, protocol, trace, times)
+    ]
+
+
+def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
+    """One row an episode of what happened to a method, whose decisions took `step_times` [s] in each episode."""
+    truth = np.asarray(suite.truth.state)
+    rows = []
+    for i, step_time in enumerate(step_times):
+        scene = suite.scenes[i // suite.episodes_per_scene]
+        found = measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
+        rows.append(
+            Row(
+                scene=scene.id,
+                episode=i % suite.episodes_per_scene,
+                seed=suite.seed,
+                method=method,
+                protocol=protocol,
+                motion=scene.motion,
+                targets=len(scene.targets),
+                step_time_s=step_time,
+                **found,
+            )
+        )
+    return rows

@@ -1,0 +1,132 @@
+"""How well policies did: rows and summary of an evaluation, to look at, to compute with, to write."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from foveate.evaluation.bounds import ceiling_rows, floors, with_closeness
+from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
+from foveate.evaluation.summary import Summary, summarise, write_result
+from foveate.experiment.experiment import Experiment
+from foveate.io.progress import Bar
+from foveate.io.tables import Table, html, text
+from foveate.io.toml import digest
+from foveate.scenario.scenes import Scene, scenes_digest
+from foveate.simulation.records import Policy
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Evaluation:
+    """What methods did on the same scenes, with the same noise.
+
+    `rows`: one an episode (`evaluation.Row` says what its fields mean). `summary`: one a cell, that is a method, a
+    protocol, a motion and a number of targets (`summary.Summary`). `scenes` are those that were run.
+    """
+
+    title: str
+    facts: dict[str, Any]
+    rows: tuple[Row, ...]
+    summary: tuple[Summary, ...]
+    scenes: tuple[Scene, ...]
+
+    @property
+    def table(self) -> Table:
+        """The summary as text."""
+        return summary_table(self.title, self.summary)
+
+    def to_json(self, path: str | Path) -> None:
+        """Write rows and summary for programs, as `foveate evaluate --json`."""
+        write_result(path, self.rows, self.summary, self.facts)
+
+    def __repr__(self) -> str:
+        return text(self.table)
+
+    def _repr_html_(self) -> str:
+        return html(self.table)
+
+
+def evaluate_all(
+    title: str,
+    facts: dict[str, Any],
+    experiment: Experiment,
+    policies: dict[str, Policy],
+    scenes: Sequence[Scene],
+    *,
+    protocols: Sequence[str],
+    episodes: int = 1,
+    seed: int = 0,
+    closeness: bool = False,
+    quiet: bool = False,
+) -> Evaluation:
+    """Run every policy, by its method's name, on the same scenes with the same noise, under each protocol.
+
+    With `closeness` also the omniscient planner, whose plans take minutes, once. Raises ValueError where it has none.
+    """
+    problem = experiment.scenario.problem()
+    floor = floors(problem, scenes) if closeness else {}
+    suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes)
+    rows: list[Row] = []
+    with Bar("evaluating", len(policies), "methods", quiet) as bar:
+        for done, (name, policy) in enumerate(policies.items()):
+            bar.update(done, name)
+            rows += evaluate(suite, name, policy, protocols)
+    summary = summarise(rows, problem.motion.state_size)
+    if closeness:
+        ceiling = summarise(_ceiling(suite, protocols, quiet), problem.motion.state_size)
+        summary = with_closeness(summary, ceiling, floor)
+    facts = {
+        **facts,
+        "experiment": digest(experiment),
+        "initial_error": experiment.scenario.scenes.initial_error,
+        "scenes_digest": scenes_digest(scenes),
+        "seed": seed,
+    }
+    return Evaluation(
+        title=f"{title}: score per target [nat], {episodes} episode(s) a scene",
+        facts=facts,
+        rows=tuple(rows),
+        summary=tuple(summary),
+        scenes=suite.scenes,
+    )
+
+
+def _ceiling(suite: Suite, protocols: Sequence[str], quiet: bool) -> list[Row]:
+    """The rows of the plans that know the future."""
+    rows: list[Row] = []
+
+    def counting(bar: Bar, before: int) -> Callable[[int], None]:
+        return lambda done: bar.update(before + done)
+
+    total = len(suite.scenes) * suite.episodes_per_scene * len(protocols)
+    with Bar("omniscient plans", total, "episodes", quiet) as bar:
+        for protocol in protocols:
+            rows += ceiling_rows(suite, protocol, counting(bar, len(rows)))
+    return rows
+
+
+def summary_table(title: str, summary: Sequence[Summary]) -> Table:
+    """One line a cell."""
+    header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "of the time")
+    close = ("closeness",) * any(cell.closeness is not None for cell in summary)
+    rows = [
+        (
+            cell.method,
+            cell.protocol,
+            cell.motion,
+            str(cell.targets),
+            f"{cell.mean:.2f}",
+            f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
+            f"{cell.std:.2f}",
+            f"{cell.seen_fraction:.0%}",
+            f"{cell.seen_step_fraction:.0%}",
+            f"{cell.longest_unseen_s:.1f}",
+            f"{cell.rmse_m:.2f}",
+            f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
+            ", ".join("-" if nees is None else f"{nees:.1f}" for nees in (cell.nees_seen, cell.nees_unseen)),
+            *("-" if cell.closeness is None else f"{cell.closeness:.3f}" for _ in close),
+        )
+        for cell in summary
+    ]
+    columns = (*header, "longest not [s]", "rmse [m]", "nees (band)", "seen, never seen", *close)
+    return Table(title=title, header=columns, rows=tuple(rows))

@@ -1,0 +1,141 @@
+"""Rows of episodes in cells: one summary for each method, protocol, motion and number of targets."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from foveate.evaluation.evaluate import Row
+from foveate.evaluation.metrics import chi_square_band
+from foveate.evaluation.statistics import mean_interval
+from foveate.io.files import file_error, read_document, write_document
+from foveate.io.provenance import provenance
+
+VERSION = 1
+"""Of the files of evaluations."""
+
+
+Band = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """One cell: a method, a protocol, a motion, a number of targets.
+
+    `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
+    is where 95 % of such means lie if the filter's covariance is right. Of targets that were seen, and of those that
+    never were, `rmse_.._m` is the mean over the episodes that have some, `nees_..` the mean over all of them; null
+    where there are none. `closeness`: how far the mean gets from the floor, never seeing anything (0), to the
+    omniscient planner's (1); null where that was not asked for.
+    """
+
+    method: str
+    protocol: str
+    motion: str
+    targets: int
+    mean: float
+    std: float
+    ci95: tuple[float, float]
+    seen_fraction: float
+    seen_step_fraction: float
+    longest_unseen_s: float
+    rmse_m: float
+    rmse_seen_m: float | None
+    rmse_unseen_m: float | None
+    nees: float
+    nees_band: Band
+    nees_seen: float | None
+    nees_seen_band: Band | None
+    nees_unseen: float | None
+    nees_unseen_band: Band | None
+    episodes: int
+    closeness: float | None = None
+
+
+def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
+    """One summary a cell, in the order in which cells first appear; scenes without targets are left out."""
+    cells: dict[tuple, list[Row]] = {}
+    for row in rows:
+        if row.score is not None:
+            cells.setdefault((row.method, row.protocol, row.motion, row.targets), []).append(row)
+    return [_summary(group, state_size) for group in cells.values()]
+
+
+def _summary(rows: Sequence[Row], state_size: int) -> Summary:
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(row, name) for row in rows]))
+
+    scores = np.array([row.score for row in rows], float)
+    first = rows[0]
+    by_scene: dict[str, list[float]] = {}
+    for row, score in zip(rows, scores, strict=True):
+        by_scene.setdefault(row.scene, []).append(score)
+    # Episodes of one scene share its layout, so the scene is the unit that is independent.
+    means = np.array([np.mean(values) for values in by_scene.values()])
+    # Rows of several training seeds met the same chance: they say no more of it than those of one.
+    share = len({(row.scene, row.episode) for row in rows}) / len(rows)
+    nees_seen, nees_seen_band = _group_nees(rows, "seen", share, state_size)
+    nees_unseen, nees_unseen_band = _group_nees(rows, "unseen", share, state_size)
+    return Summary(
+        method=first.method,
+        protocol=first.protocol,
+        motion=first.motion,
+        targets=first.targets,
+        mean=float(scores.mean()),
+        std=float(scores.std(ddof=1)) if len(scores) > 1 else 0.0,
+        ci95=mean_interval(means),
+        seen_fraction=mean("seen_fraction"),
+        seen_step_fraction=mean("seen_step_fraction"),
+        longest_unseen_s=mean("longest_unseen_s"),
+        rmse_m=mean("rmse_m"),
+        rmse_seen_m=_group_mean(rows, "rmse_seen_m"),
+        rmse_unseen_m=_group_mean(rows, "rmse_unseen_m"),
+        nees=mean("nees"),
+        nees_band=chi_square_band(state_size, first.targets * share * len(rows)),
+        nees_seen=nees_seen,
+        nees_seen_band=nees_seen_band,
+        nees_unseen=nees_unseen,
+        nees_unseen_band=nees_unseen_band,
+        episodes=len(rows),
+    )
+
+
+def _group_mean(rows: Sequence[Row], name: str) -> float | None:
+    """The mean over the rows that have this measure; None where none has."""
+    values = [value for row in rows if (value := getattr(row, name)) is not None]
+    return float(np.mean(values)) if values else None
+
+
+def _group_nees(rows: Sequence[Row], group: str, share: float, state_size: int) -> tuple[float | None, Band | None]:
+    """The mean NEES of all targets of a group, and its band for so many of them, of which a `share` is independent."""
+    pairs = [(row, value) for row in rows if (value := getattr(row, f"nees_{group}")) is not None]
+    if not pairs:
+        return None, None
+    fractions = [row.seen_fraction if group == "seen" else 1.0 - row.seen_fraction for row, _ in pairs]
+    counts = np.array([fraction * row.targets for fraction, (row, _) in zip(fractions, pairs, strict=True)])
+    mean = float(np.average([value for _, value in pairs], weights=counts))
+    return mean, chi_square_band(state_size, share * float(counts.sum()))
+
+
+def write_result(
+    path: str | Path, rows: Sequence[Row], summary: Sequence[Summary], facts: Mapping[str, Any] = MappingProxyType({})
+) -> None:
+    """Write an evaluation for programs: rows, summary, and what they were made with."""
+    found = {"rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
+    write_document(path, "evaluation", VERSION, {**provenance(), **facts, **found})
+
+
+def read_result(path: str | Path) -> tuple[list[Row], dict[str, Any]]:
+    """The rows of an evaluation that was written, and what they were made with.
+
+    Raises ValueError in one line for a file that is missing, cut, damaged, newer, or something else.
+    """
+    found = read_document(path, "evaluation", VERSION, "result of foveate evaluate")
+    try:
+        rows = [Row(**row) for row in found.pop("rows")]
+    except (KeyError, TypeError) as error:
+        raise file_error(path, f"rows: are not those of an evaluation ({error})") from error
+    return rows, {name: value for name, value in found.items() if name != "summary"}

@@ -1,0 +1,137 @@
+"""Everything that defines a run, as it stands in `config.toml`: the world, the policy and how it is trained."""
+
+from dataclasses import replace
+
+from foveate.experiment.experiment import REACH, Experiment, with_learner
+from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
+from foveate.policies.pointer import PointerSettings
+from foveate.scenario.agent import Quadrotor
+from foveate.scenario.field_of_view import FrustumView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.target import VelocityTarget
+
+QUADROTOR = Scenario(
+    tau_s=0.5,
+    agent=Quadrotor(kind="quadrotor"),
+    view=FrustumView(shape="frustum"),
+    target=VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.02, initial_velocity_variance_m2_s2=0.16),
+    scenes=SceneSettings(
+        centre_m=(0.0, 0.0, 3.0),
+        half_side_m=(8.0, 8.0, 1.5),
+        half_side_per_target_m=0.0,
+        agent_spread=1.0,
+        agent_test_half_side_m=1.5,
+        drift_m_s=(0.7, 0.7, 0.1),
+        shared_drift=False,
+        steps=30,
+        initial_error="consistent",
+    ),
+)
+"""A flying camera over 3 to 8 targets that cross a hall of 16 x 16 x 3 m in all directions, for 15 s."""
+
+
+PRESETS = {
+    "paper": Experiment(),
+    "best": Experiment(
+        policy=PointerSettings(kind="pointer"),
+        training=ActorCriticSettings(
+            algorithm="actor-critic",
+            protocols=("surrogate", "true"),
+            select="surrogate",
+            epochs=400,
+            episodes=384,
+            spread=(0.4, 0.04),
+        ),
+    ),
+    "true-view": Experiment(
+        policy=PointerSettings(kind="pointer"),
+        training=ActorCriticSettings(algorithm="actor-critic"),
+    ),
+    # Where first beliefs err by as much as they claim, going to where a target is believed to be does not find it.
+    "search": Experiment(
+        scenario=Scenario(
+            sensor=SensorSettings(absence="used"),
+            scenes=SceneSettings(initial_error="consistent"),
+        ),
+        policy=PointerSettings(kind="pointer"),
+        training=ActorCriticSettings(algorithm="actor-critic", epochs=400),
+    ),
+    "quadrotor": Experiment(
+        scenario=QUADROTOR,
+        policy=PointerSettings(kind="pointer", length_m=REACH * QUADROTOR.view.depth_m),
+        training=ActorCriticSettings(algorithm="actor-critic", objective="mean"),
+    ),
+}
+
+
+PPO = {
+    "ppo": PPOSettings(algorithm="ppo"),
+    "ppo-tuned": PPOSettings(
+        algorithm="ppo",
+        environments=128,
+        rollout_steps=32,
+        batch=128,
+        learning_rate=7e-4,
+        schedule="linear",
+        discount=1.0,
+        log_std=-0.7,
+        reward_scale=0.2,
+        critic_sees_time=True,
+    ),
+}
+"""The model-free rival: as Stable-Baselines3 comes, and tuned for this task."""
+
+
+def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
+    """A preset's network and learner for another world: all their lengths grow with the depth of the view.
+
+    Raises ValueError for a preset that is not there.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
+    base = PRESETS[preset]
+    scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
+    policy, training = replace(base.policy, length_m=scale * base.policy.length_m), base.training
+    if isinstance(training, LearningSettings):
+        training = replace(training, softness=tuple((offset, scale * kappa) for offset, kappa in training.softness))
+    return Experiment(scenario=scenario, policy=policy, training=training)
+
+
+LEARNERS = {
+    "policy-gradient": TrainingSettings(),
+    "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
+    **PPO,
+}
+"""What an experiment can be trained by in the place of its own learner."""
+
+
+def adjusted(
+    experiment: Experiment,
+    algorithm: str | None = None,
+    epochs: int | None = None,
+    episodes: int | None = None,
+    steps: int | None = None,
+) -> Experiment:
+    """The experiment with another learner of LEARNERS, or budget, where these are given.
+
+    Raises ValueError for a learner that is not there, and a budget that its learner does not count.
+    """
+    if algorithm is not None:
+        if algorithm not in LEARNERS:
+            raise ValueError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
+        learner = LEARNERS[algorithm]
+        # An experiment's own settings of the learner that is asked for stay, but for the tuned ones.
+        if algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
+            experiment = with_learner(experiment, learner)
+    training = experiment.training
+    counted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
+    for name, value in (("epochs", epochs), ("episodes", episodes), ("steps", steps)):
+        if value is None:
+            continue
+        if name not in counted:
+            right = " or ".join(counted)
+            raise ValueError(f"{name} {value}: this algorithm does not count them: expected {right}")
+        training = replace(training, **{name: value})
+    return replace(experiment, training=training)

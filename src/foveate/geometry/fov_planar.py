@@ -1,0 +1,174 @@
+"""Fields of view in the plane: convex polygons and annular sectors."""
+
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from foveate.geometry.fov import FieldOfView, Number, arc, closed, require
+from foveate.geometry.safe import clipped, larger, length
+from foveate.types import Scalar
+
+
+def height_and_overshoot(
+    point: Float[Array, "... 2"],
+    start: Float[Array, "... 2"],
+    end: Float[Array, "... 2"],
+    tangent: Float[Array, "... 2"],
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Height of a point to the right of a segment's line, and how far its foot lies beyond the ends, else 0 [m].
+
+    Both are measured from the nearer end: near a sharp corner, the sides of which are hard to tell apart, they
+    are exact to a rounding error of their own size, not of the segment's.
+    """
+    t_x, t_y = tangent[..., 0], tangent[..., 1]
+    from_start, from_end = point - start, point - end
+    along = t_x * from_start[..., 0] + t_y * from_start[..., 1]
+    past = t_x * from_end[..., 0] + t_y * from_end[..., 1]
+    nearer = jnp.where((along + past > 0)[..., None], from_end, from_start)
+    height = t_y * nearer[..., 0] - t_x * nearer[..., 1]
+    return height, jnp.where(along < 0, along, jnp.where(past > 0, past, 0.0))
+
+
+class ConvexPolygon(FieldOfView):
+    """A convex polygon of the plane: vertices [m] counter-clockwise, none repeated."""
+
+    vertices: Float[Array, "v 2"]
+
+    @property
+    def dimension(self) -> int:
+        return 2
+
+    @property
+    def depth(self) -> Scalar:
+        return jnp.sqrt(jnp.max(jnp.sum(self.vertices**2, axis=-1)))
+
+    def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
+        """Distance to the nearest edge, negative where the point is left of all edges [m].
+
+        d = +-sqrt(h^2 + e^2), h the height over the nearest edge's line, e how far the foot of the point lies
+        beyond the edge's ends. Which edge is nearest has no derivative: only that edge is differentiated. Beside a
+        sharp corner both of its sides may be nearest, up to rounding: the one that the point is right of counts.
+        """
+        ends = jnp.roll(self.vertices, -1, axis=0)
+        edges = ends - self.vertices
+        tangents = edges / jnp.sqrt(jnp.sum(edges**2, axis=-1, keepdims=True))
+        still = jax.lax.stop_gradient(point_body)[..., None, :]
+        heights, beyond = height_and_overshoot(still, self.vertices, ends, tangents)
+        square = heights**2 + beyond**2
+        tied = square <= (1 + 16 * jnp.finfo(square.dtype).eps) * jnp.min(square, axis=-1, keepdims=True)
+        nearest = jnp.argmax(jnp.where(tied, heights, -jnp.inf), axis=-1)
+        inside = jnp.all(heights <= 0, axis=-1)
+
+        height, overshoot = height_and_overshoot(point_body, self.vertices[nearest], ends[nearest], tangents[nearest])
+        corner = length(height, overshoot)
+        return jnp.where(overshoot == 0, height, jnp.where(inside, -corner, corner))
+
+    def outline(self, reach: float = 10.0) -> np.ndarray:
+        return closed(np.asarray(self.vertices))
+
+
+def triangle_vertices(depth: Scalar | Number, angle: Scalar | Number) -> Float[Array, "3 2"]:
+    """Vertices (0, 0), (depth, -+depth tan(angle / 2)) [m], counter-clockwise; unchecked, may be traced."""
+    depth = jnp.asarray(depth, float)
+    half_width = depth * jnp.tan(jnp.asarray(angle, float) / 2)
+    ahead = jnp.stack([jnp.zeros_like(depth), depth, depth])
+    return jnp.stack([ahead, jnp.stack([jnp.zeros_like(depth), -half_width, half_width])], axis=-1)
+
+
+def triangle(depth: Number, angle: Number) -> ConvexPolygon:
+    """The paper's field of view: apex at the agent, opening along +x, `depth` [m] to its far edge.
+
+    `angle` [rad] is the full one, in (0, pi). Raises ValueError where either is out of range.
+    """
+    require(0 < depth < math.inf, "depth", depth, "a finite number > 0 [m]")
+    require(0 < angle < math.pi, "angle", angle, "in (0, pi) [rad]")
+    return ConvexPolygon(triangle_vertices(depth, angle))
+
+
+def polygon(vertices: np.ndarray | Sequence[Sequence[Number]]) -> ConvexPolygon:
+    """The convex polygon through `vertices` (v, 2) [m], listed in order around it, in either sense.
+
+    Raises ValueError for fewer than 3 vertices, a value that is not finite, a repeated vertex, zero area, or
+    a shape that is not convex (turns of both signs, or more than one turn in all), up to 1e-6 rad.
+    """
+    points = np.asarray(vertices, jnp.result_type(float)).astype(float)  # rounded as it will be stored
+    ok = points.ndim == 2 and points.shape[0] >= 3 and points.shape[1] == 2
+    require(ok, "vertices", points.shape, "an array of shape (v, 2) with v >= 3")
+    given = points.tolist()
+    require(np.isfinite(points).all(), "vertices", given, "finite numbers [m]")
+    edges = np.roll(points, -1, axis=0) - points
+    require(edges.any(axis=-1).all(), "vertices", given, "free of repetitions")
+    centred = points - points.mean(axis=0)
+    area = np.sum(centred[:, 0] * edges[:, 1] - centred[:, 1] * edges[:, 0]) / 2
+    require(abs(area) > 1e-9 * np.max(np.ptp(points, axis=0)) ** 2, "vertices", given, "of non-zero area")
+    following = np.roll(edges, -1, axis=0)
+    cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    turns = np.sign(area) * np.arctan2(cross, np.sum(edges * following, axis=-1))
+    convex = np.all(turns > -1e-6) and abs(np.sum(turns) - 2 * math.pi) < 1
+    require(convex, "vertices", given, "the corners of a convex polygon, in order around it")
+    return ConvexPolygon(jnp.asarray(points if area > 0 else points[::-1], float))
+
+
+def annular_sector_distance(
+    ahead: Float[Array, "..."], aside: Float[Array, "..."], near: Scalar, far: Scalar, half_angle: Scalar
+) -> Float[Array, "..."]:
+    """Signed distance [m] of (ahead, aside >= 0) to {near <= r <= far, |bearing| <= half_angle}.
+
+    Within the angle the boundary is nearest along the ray through the point (a circle) or on the straight
+    side; beyond the angle it is the straight side, by reflection in the axis the one on the same side.
+    """
+    full = half_angle >= math.pi
+    u_x, u_y = jnp.cos(half_angle), jnp.sin(half_angle)
+    height, along = u_x * aside - u_y * ahead, u_x * ahead + u_y * aside
+    beyond = along - clipped(along, near, far)
+    corner = length(height, beyond)
+    side = jnp.where(beyond == 0, height, jnp.where(height > 0, corner, -corner))
+    side = jnp.where(full, -jnp.inf, side)
+    radius = length(ahead, aside)
+    radial = larger(radius - far, jnp.where(near > 0, near - radius, -jnp.inf))
+    return jnp.where(side > 0, side, larger(radial, side))
+
+
+def annular_sector_outline(near: float, far: float, half_angle: float) -> np.ndarray:
+    """Its closed boundary (M, 2) [m]; a full ring is joined to its hole by a cut, a full disc is a circle."""
+    unit = arc(-half_angle, half_angle)
+    inner = near * unit[::-1] if near > 0 else np.zeros((int(half_angle < math.pi), 2))
+    return closed(np.concatenate([far * unit, inner]))
+
+
+class Sector(FieldOfView):
+    """A circular sector about +x with its apex at the origin: near <= r <= radius [m], full angle [rad]."""
+
+    radius: Scalar
+    angle: Scalar
+    near: Scalar
+
+    @property
+    def dimension(self) -> int:
+        return 2
+
+    @property
+    def depth(self) -> Scalar:
+        return self.radius
+
+    def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
+        x, y = point_body[..., 0], jnp.abs(point_body[..., 1])
+        return annular_sector_distance(x, y, self.near, self.radius, self.angle / 2)
+
+    def outline(self, reach: float = 10.0) -> np.ndarray:
+        return annular_sector_outline(float(self.near), float(self.radius), float(self.angle) / 2)
+
+
+def sector(radius: Number, angle: Number, near: Number = 0.0) -> Sector:
+    """The sector of full angle (0, 2 pi] [rad] about +x between the ranges `near` >= 0 and `radius` [m].
+
+    At 2 pi it is the full disc or ring. Raises ValueError where a parameter is out of range.
+    """
+    require(0 < radius < math.inf, "radius", radius, "a finite number > 0 [m]")
+    require(0 < angle <= 2 * math.pi, "angle", angle, "in (0, 2 pi] [rad]")
+    require(0 <= near < radius, "near", near, f"in [0, radius = {radius}) [m]")
+    return Sector(*(jnp.asarray(value, float) for value in (radius, angle, near)))

@@ -1,0 +1,1 @@
+"""Files, tables on screen, progress: what knows nothing of targets."""

@@ -1,0 +1,73 @@
+"""Tables of text: on a terminal, in a notebook, and on the Markdown page that holds them."""
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+WIDE = 200
+"""Columns of what is not a terminal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Text in rows; the first two columns are words, the others numbers."""
+
+    title: str
+    note: str = ""
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def draw(table: Table, console: "Console") -> None:
+    """The table without its note, in lines."""
+    from rich.markup import escape
+    from rich.table import Table as Lines
+
+    lines = Lines(title=escape(table.title), title_justify="left", header_style="bold")
+    for i, name in enumerate(table.header):
+        lines.add_column(escape(name), justify="left" if i < 2 else "right", no_wrap=True)
+    for row in table.rows:
+        lines.add_row(*row)
+    console.print(lines)
+
+
+def text(table: Table) -> str:
+    """What `draw` draws, without colours."""
+    from rich.console import Console
+
+    file = io.StringIO()
+    draw(table, Console(file=file, width=WIDE, no_color=True, force_jupyter=False))
+    return "\n".join(line.rstrip() for line in file.getvalue().rstrip().splitlines())
+
+
+def html(table: Table) -> str:
+    """The table as HTML, for a notebook."""
+
+    def row(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    lines = [row(table.header, "th"), *(row(cells, "td") for cells in table.rows)]
+    return f"<table><caption>{escape(table.title)}</caption>{''.join(lines)}</table>"
+
+
+def markdown(title: str, facts: Mapping[str, str], found: Sequence[Table], figures: Mapping[str, str]) -> str:
+    """The page of a comparison: what it was made with, its figures (file: what it shows), its tables."""
+    lines = [f"# {title}", ""]
+    lines += [f"- {name}: {value}" for name, value in facts.items()] + [""]
+    for file, what in figures.items():
+        lines += [f"![{what}]({file})", ""]
+    for table in found:
+        lines += [f"## {table.title}", "", table.note, "", _line(table.header)]
+        lines.append("|---|---|" + "---:|" * (len(table.header) - 2))
+        lines += [*map(_line, table.rows), ""]
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

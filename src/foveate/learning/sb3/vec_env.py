@@ -1,0 +1,88 @@
+"""The batched environment as a `VecEnv` of Stable-Baselines3: one compiled program, no Python object a copy."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from gymnasium import spaces
+from jaxtyping import Array
+from stable_baselines3.common.vec_env import VecEnv
+
+from foveate.learning.sb3.network import flat_inputs
+from foveate.policies.attention import AttentionSettings
+from foveate.simulation.batch import Batch, Programs
+from foveate.simulation.environment import Environment
+from foveate.simulation.records import Observation
+from foveate.types import Key, Scalar
+
+
+class TargetsVecEnv(VecEnv):
+    """`count` environments side by side; an observation is a row of `flat_inputs`, an action in [-1, 1] an axis.
+
+    The horizon belongs to the task, and nothing that happens after it is worth anything: the end of an episode is
+    `terminated`, never `TimeLimit.truncated`, so that no learner adds the value of a state beyond it. The rows of an
+    episode's end are in `infos[i]["terminal_observation"]`, its last score in `infos[i]["score"]`, and the sum of its
+    rewards (as given, times `reward_scale`) and its length in `infos[i]["episode"]`, where Stable-Baselines3 looks.
+    """
+
+    def __init__(
+        self, environment: Environment, settings: AttentionSettings, count: int, key: Key, reward_scale: float = 1.0
+    ) -> None:
+        def look(observation: Observation, left: Scalar) -> Array:
+            return flat_inputs(environment.problem, settings, observation, left)
+
+        self._batch, self._key, self._reward_scale = Batch(Programs(environment, look, count)), key, reward_scale
+        self._actions = np.zeros((count, self._batch.axes), np.float32)
+        self._returns = np.zeros(count)
+        size = self._batch.programs.seen.shape[1]
+        rows = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
+
+    def reset(self) -> np.ndarray:
+        """Fresh episodes everywhere; the same ones after the same `seed`."""
+        if self._seeds[0] is not None:
+            self._key = jax.random.key(self._seeds[0])
+        self._reset_seeds()
+        self._key, key = jax.random.split(self._key)
+        self._returns[:] = 0.0
+        return self._batch.renew(jax.random.split(key, self.num_envs))[0]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Take the step: rows, rewards, ends, and what there is to say about those that ended."""
+        steps = self._batch.step(self._actions)
+        reward = self._reward_scale * steps.reward
+        self._returns += reward
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for i in np.flatnonzero(steps.done):
+            infos[i] = {
+                "terminal_observation": steps.end[i],
+                "TimeLimit.truncated": False,
+                "score": float(steps.score[i]),
+                "episode": {"r": float(self._returns[i]), "l": int(steps.length[i])},
+            }
+        self._returns[steps.done] = 0.0
+        return steps.seen, reward, steps.done, infos
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The attribute once for each environment; all are alike."""
+        value = None if attr_name == "render_mode" else getattr(self, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: there is one program for all environments."""
+        raise NotImplementedError(f"{attr_name}: these environments are one compiled program and cannot be changed")
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Refused: there is no object for each environment."""
+        raise NotImplementedError(f"{method_name}: these environments are one compiled program without methods")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """No environment is wrapped."""
+        return [False for _ in self._get_indices(indices)]

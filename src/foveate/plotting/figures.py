@@ -1,0 +1,246 @@
+"""Pictures of results on paper: episodes as they unfold, learning curves, recordings. Reads, never simulates."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from foveate.experiment.run_folder import METRICS, Check, read_checks
+from foveate.geometry.numpy_poses import positions, rotation
+from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.scene import (
+    AGENT,
+    BLACK,
+    CYCLE,
+    GREY,
+    PALE,
+    SEEN,
+    VERMILLION,
+    broken,
+    clean,
+    describe,
+    legend_entries,
+    new_figure,
+    save,
+)
+from foveate.plotting.scene_spatial import stage_of
+
+WIDTH = 9.0
+"""Inches; at README width (about 900 pixels) a point is then 1.4 pixels."""
+
+
+COLUMNS = 4
+
+
+def trajectory_figure(films: Sequence[Film], path: Path) -> None:
+    """One row a film: the start, a third, two thirds and the end of it.
+
+    Each panel shows the agent and its path so far, its field of view there, the targets (squares) with their tracks so
+    far, and what is believed about them: mean (cross) and 95 % ellipse or ellipsoid, solid if the target was
+    measured at that instant, dashed if not. Films that begin with the same targets share their limits. Raises
+    ValueError for no film.
+    """
+    if not films:
+        raise ValueError("no film to draw: expected at least one")
+    heights = [WIDTH / COLUMNS * stage_of(film).panel_shape + 0.3 for film in films]
+    figure = new_figure(WIDTH, sum(heights) + 0.3)
+    rows = figure.subfigures(len(films), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for row, film in zip(rows, films, strict=True):
+        row.suptitle(describe(film), x=0.01, ha="left", fontsize=9, fontweight="bold")
+        kind = stage_of(film)
+        box = kind.limits([other for other in films if _same_scene(film, other)])
+        instants = [round(film.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
+        for column, instant in enumerate(instants):
+            axes: Any = row.add_subplot(1, COLUMNS, column + 1, axes_class=kind.axes_class)
+            stage = kind(axes, film, box, scale=kind.panel_scale)
+            stage.show(SUBSTEPS * instant)
+            stage.label(kind.panel_text, x=row is rows[-1], y=column == 0)
+            axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
+    figure.legend(handles=legend_entries(), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
+    save(figure, path)
+
+
+def _same_scene(one: Film, other: Film) -> bool:
+    return one.truth.shape == other.truth.shape and np.allclose(one.truth[:1], other.truth[:1])
+
+
+def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
+    """Objective of the training batches (thin) and held-out score (bold) against epochs, for one run or several.
+
+    `runs` are run folders or their `metrics.jsonl`. The best check is a star, a collapse (or a value that was not
+    finite) a dotted vertical line; seconds stand along the top for one run, in the legend for several. Raises
+    ValueError in one line where a file holds no check.
+    """
+    files = [run / METRICS if run.is_dir() else run for run in ([runs] if isinstance(runs, Path) else runs)]
+    if not files:
+        raise ValueError("no run to draw: expected at least one")
+    histories = [read_checks(file) for file in files]
+    figure = new_figure(WIDTH, 4.0 + 0.07 * len(files))
+    axes = figure.subplots()
+    single = len(files) == 1
+    for file, checks, color in zip(files, histories, _colors(len(files)), strict=True):
+        epochs = [check.epoch for check in checks]
+        axes.plot(epochs, [check.objective for check in checks], color=color, lw=0.9, alpha=0.6)
+        label = "held-out score" if single else file.resolve().parent.name
+        # As training does: the last that was the best when it was made.
+        for check in [check for check in checks if check.best][-1:]:
+            axes.plot(check.epoch, check.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
+            label += f": best {check.held_out:.2f} at epoch {check.epoch}"
+        label += "" if single else f", {checks[-1].elapsed_s:.0f} s"
+        axes.plot(epochs, [check.held_out for check in checks], color=color, lw=2, label=label)
+        for check in checks:
+            if check.event:
+                axes.axvline(check.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
+    clean(axes, 9.0)
+    axes.grid(color=PALE, lw=0.6)
+    axes.set_xlabel("epoch", fontsize=9.5)
+    axes.set_ylabel("log det of information [nat per target]", fontsize=9.5)
+    axes.margins(x=0.01, y=0.1)
+    if single:
+        _seconds_on_top(axes, histories[0])
+    collapsed = any(check.event for checks in histories for check in checks)
+    handles = axes.get_legend_handles_labels()[0] + _curve_legend(single, collapsed)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4 if single else 3, fontsize=9, frameon=False)
+    save(figure, path)
+
+
+def _colors(count: int) -> list[str]:
+    return [CYCLE[i % len(CYCLE)] for i in range(count)]
+
+
+def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
+    color = CYCLE[0] if single else GREY
+    entries = [
+        Line2D([], [], color=color, lw=0.9, alpha=0.6, label="training objective"),
+        Line2D([], [], color=color, ls="none", marker="*", ms=11, label="best, kept"),
+    ]
+    if not single:
+        entries.insert(0, Line2D([], [], color=color, lw=2, label="held-out score"))
+    if collapsed:
+        entries.append(Line2D([], [], color=VERMILLION if single else GREY, ls=":", lw=1.2, label="collapse, return"))
+    return entries
+
+
+def _seconds_on_top(axes: Axes, checks: Sequence[Check]) -> None:
+    """A second x axis: the time at which the epochs of the first one were done."""
+    top = axes.twiny()
+    top.set_xlim(axes.get_xlim())
+    epochs = [0, *(check.epoch for check in checks)]
+    ticks = [tick for tick in axes.get_xticks() if 0 <= tick <= epochs[-1]]
+    seconds = np.interp(ticks, epochs, [0.0, *(check.elapsed_s for check in checks)])
+    top.set_xticks(ticks, [f"{value:.0f} s" for value in seconds])
+    clean(top, 9.0)
+    top.tick_params(labelcolor=GREY)
+
+
+def replay_figure(films: Mapping[str, Film], path: Path) -> None:
+    """A recording as several methods saw it; map and timeline are those of the first.
+
+    Left, the map (of space: from above and from the side): every target's track in grey, in colour while it was seen,
+    and the agent's path from the triangle on. Right, the timeline: one row a slot, which holds one target after
+    another, light while one is there, dark while it is seen; below it the share of all target time that each method
+    saw. Raises ValueError for no film.
+    """
+    if not films:
+        raise ValueError("no film to draw: expected at least one")
+    name, film = next(iter(films.items()))
+    bars = 0.26 * len(films) + 0.25
+    height = max(3.4 + 1.0 * len(stage_of(film).planes), 2.9 + bars)
+    figure = new_figure(WIDTH, height)
+    left, right = figure.subfigures(1, 2, squeeze=False)[0]
+    _maps(left, film, name)
+    timeline, shares = right.subplots(2, 1, height_ratios=(height - 0.9 - bars, bars))
+    _timeline(timeline, film, name)
+    _shares(shares, films)
+    handles = [
+        Line2D([], [], color=AGENT, lw=1.3, marker=">", ms=5, label=f"agent ({name})"),
+        Line2D([], [], color=GREY, lw=0.8, label="target"),
+        Line2D([], [], color=SEEN, lw=2.2, label="target while seen"),
+        Patch(facecolor=PALE, label="target present"),
+        Patch(facecolor=SEEN, label="seen"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
+    save(figure, path)
+
+
+def _maps(part: SubFigure, film: Film, name: str) -> None:
+    """What was seen where, from every side that the space has: of one scale, one above the other."""
+    planes = stage_of(film).planes
+    points = np.concatenate([film.truth[film.present], positions(film.pose)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    pad = max(0.05 * (high - low).max(), 0.5)
+    sides = part.subplots(
+        len(planes), 1, sharex=True, squeeze=False, height_ratios=[(high - low + 2 * pad)[up] for _, up in planes]
+    )
+    for axes, plane in zip(sides[:, 0], planes, strict=True):
+        _map(axes, film, plane)
+        if len(planes) > 1:
+            axes.set_aspect("equal", adjustable="box")
+            (left, bottom), (right, top) = (low - pad)[list(plane)], (high + pad)[list(plane)]
+            axes.set(xlim=(left, right), ylim=(bottom, top))
+        axes.label_outer()
+    sides[0, 0].set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
+
+
+def _map(axes: Axes, film: Film, plane: tuple[int, int]) -> None:
+    """Tracks, where they were seen, and the way of the agent, in the plane of two axes of the world."""
+    across, up = plane
+    truth, arc = film.truth[..., plane], film.arc()
+    axes.plot(*broken(truth, film.present).T, color=GREY, lw=0.6, alpha=0.8)
+    ends = np.stack([truth[:-1], truth[1:]], axis=2)
+    axes.add_collection(LineCollection(list(ends[film.visible & film.counted]), colors=SEEN, lw=2.2, zorder=3))
+    way, nose = positions(arc)[:, plane], rotation(arc[0])[plane, 0]
+    axes.plot(*way.T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
+    heading = (3, 0, np.degrees(np.arctan2(nose[1], nose[0])) - 90)
+    axes.plot(*way[0], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
+    axes.set_aspect("equal", adjustable="datalim")
+    clean(axes)
+    axes.set_xlabel(f"{'xyz'[across]} [m]", fontsize=8.5, labelpad=3)
+    axes.set_ylabel(f"{'xyz'[up]} [m]", fontsize=8.5, labelpad=3)
+
+
+def _timeline(axes: Axes, film: Film, name: str) -> None:
+    """Rows of targets over time: there or not, seen or not."""
+    end, there, seen = film.times_s[-1], film.counted, film.visible & film.counted
+    for column in range(film.targets):
+        for which, color, edge in ((there, PALE, 0.0), (seen, SEEN, 0.5)):
+            # The edge keeps a glimpse of one step visible where a step is less than a pixel.
+            runs = [film.times_s[[first, first + length]] for first, length in _runs(which[:, column])]
+            spans = [(start, end - start) for start, end in runs]
+            axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
+    axes.set_xlim(0, end)
+    axes.set_ylim(max(film.targets, 1) + 0.5, 0.5)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    clean(axes)
+    axes.set_ylabel("target slot", fontsize=8.5, labelpad=4)
+    axes.set_xlabel("time [s]", fontsize=8.5, labelpad=3)
+    axes.set_title(f"when {name} saw which", fontsize=9, fontweight="bold", loc="left")
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """First index and length of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
+    return [(int(first), int(end - first)) for first, end in edges]
+
+
+def _shares(axes: Axes, films: Mapping[str, Film]) -> None:
+    """The share of target time that each method saw."""
+    values = [100 * film.seen_share for film in films.values()]
+    colors = [SEEN, *[GREY] * (len(films) - 1)]
+    bars = axes.barh(list(films), values, color=colors, height=0.65)
+    axes.bar_label(bars, [f"{value:.1f} %" for value in values], fontsize=8.5, padding=3)
+    axes.set_xlim(0, max(1.0, 1.18 * max(values)))
+    axes.invert_yaxis()
+    clean(axes, 8.5)
+    axes.set_xticks([])
+    axes.tick_params(labelcolor=BLACK, length=0)
+    for side in ("top", "right", "bottom"):
+        axes.spines[side].set_visible(False)
+    axes.set_title("share of target time seen", fontsize=9, fontweight="bold", loc="left")

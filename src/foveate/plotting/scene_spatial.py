@@ -1,0 +1,234 @@
+"""One scene of space in its axes: what `drawing` is for the plane, seen by a camera, over a floor that shows depth."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.ticker import MaxNLocator, MultipleLocator, NullFormatter
+from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from foveate.geometry.numpy_poses import placed, positions
+from foveate.plotting.ellipsoids import CHI_SQUARE_95, contours, faces, meridians
+from foveate.plotting.episode_data import Film, snapshot
+from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN, Stage, broken
+
+Drawn = TypeVar("Drawn", Poly3DCollection, Line3DCollection)
+
+
+DART = np.array([[1.1, 0, 0], [-0.8, 0.65, 0], [-0.8, -0.65, 0], [-0.8, 0, 0.5]])
+
+
+DART_FACES, DART_COLORS = ((0, 1, 3), (0, 2, 3), (0, 1, 2), (1, 2, 3)), (AGENT, "#00568A", "#003A5E", "#003A5E")
+"""The agent: its nose along +x, its fin up, as if lit from its left."""
+
+
+ELEVATION, AZIMUTH, SWING = 27.0, -62.0, 36.0
+"""The camera, and how far it goes around the scene in an animation [degrees]."""
+
+
+def limits(films: Sequence[Film], margin: float = 0.04) -> Float[np.ndarray, "2 3"]:
+    """Lower and upper corner [m] of the box that shows targets and agent of these films at every instant.
+
+    View and beliefs are shown as far as they reach beyond that by 15 % at most: the one turns about, and the others may
+    grow for ever. More is shown around a box that is small beside the view. No belief lowers the floor.
+    """
+    core, soft = [], []
+    for film in films:
+        core += [film.truth[film.present], positions(film.pose)]
+        soft += [placed(pose, line) for pose in film.pose for line in film.outline]
+        mean, covariance = film.estimate[film.present], film.covariance[film.present]
+        spread = np.sqrt(CHI_SQUARE_95 * np.diagonal(covariance, axis1=-2, axis2=-1))
+        soft += [mean - spread * [1, 1, 0], mean + spread]
+    points, more = np.concatenate(core), np.concatenate([*core, *soft])
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = (high - low).max()
+    depth = max((np.linalg.norm(line, axis=1).max() for film in films for line in film.outline), default=0.0)
+    reach = max(0.15 * extent, depth - extent / 2)
+    low = np.minimum(low, np.maximum(more.min(axis=0), low - reach))
+    high = np.maximum(high, np.minimum(more.max(axis=0), high + reach))
+    pad = margin * (high - low).max() or 0.5
+    return np.stack([low - pad, high + pad])
+
+
+class SpaceAxes(Axes3D):
+    """3-D axes that fill a place of any shape, where matplotlib's own fill a square in it."""
+
+    seen: np.ndarray = np.array([[-0.1, -0.1], [0.1, 0.1]])
+    """Corners of what has to be shown, in the camera's plane."""
+    margin_pt: float = 22.0
+    """Room for the numbers around it."""
+
+    @property
+    def eye(self) -> Float[np.ndarray, "3"]:
+        """Where the camera is [m]: the one point without a place in its picture, at depth 0."""
+        point = np.linalg.svd(self.get_proj()[[0, 1, 3]])[2][-1]
+        return point[:3] / point[3]
+
+    def apply_aspect(self, position: Bbox | None = None) -> None:
+        """Take the whole place, and look at as much of the camera's plane as it shows at equal scales."""
+        del position  # that of a locator, which these axes never have
+        self.reset_position()
+        self.set_in_layout(True)  # a position that is set takes axes out of the layout
+        figure = self.get_figure(root=True)
+        assert figure is not None, "drawn in a figure only"
+        pixels, room = self.bbox.size, figure.dpi / 72 * self.margin_pt * np.array([2.0, 1.1])
+        middle, extent = self.seen.mean(axis=0), np.ptp(self.seen, axis=0)
+        scale = np.max(extent / np.maximum(pixels - room, 1.0))
+        # Most of it is needed below and on the right, where the numbers of z are; none above.
+        middle = middle + scale * room * [0.3, -0.45]
+        low, high = middle - scale * pixels / 2, middle + scale * pixels / 2
+        self.viewLim.intervalx, self.viewLim.intervaly = np.stack([low, high], axis=1)
+
+
+class SpatialStage:
+    """A scene of space in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
+
+    Everything has a shadow or a drop line on the floor. `trail` is how many steps back trails and path reach, None for
+    all; where they have a limit, the scene is an animation, and the camera moves. `scale` grows the symbols.
+    """
+
+    axes_class: ClassVar[Any] = SpaceAxes
+    limits = staticmethod(limits)
+    max_frames = 100
+    """Each is new all over: with more of them a GIF is larger than a page should load."""
+    planes: ClassVar[tuple[tuple[int, int], ...]] = ((0, 1), (0, 2))
+    panel_shape, panel_scale, panel_text = 0.85, 0.7, 6.5
+
+    @staticmethod
+    def place(width: int, height: int, bottom: float, top: float) -> tuple[float, float, float, float]:
+        """Where the axes stand in a picture [pixels]: left, bottom, width, height. They hold their own numbers."""
+        return 0.0, 0.4 * bottom, 0.575 * width, height - 0.4 * bottom - 0.5 * top
+
+    def __init__(
+        self, axes: SpaceAxes, film: Film, box: np.ndarray, trail: int | None = None, scale: float = 1.0
+    ) -> None:
+        self.axes, self.film, self.arc, self.trail = axes, film, film.arc(), trail
+        self.size = 0.045 * float((box[1] - box[0]).max())
+        self.floor = float(box[0, 2])
+        self.faces = faces(film.outline)
+        self.swing = 0.0 if trail is None else SWING
+        _furnish(axes, box)
+        _aim(axes, box, self.swing)
+
+        def line(color: str, **style: Any) -> Line3D:
+            made = Line3D([], [], [], color=color, **style)
+            axes.add_line(made)
+            return made
+
+        def area(face: Any, zorder: float, **style: Any) -> Poly3DCollection:
+            return _added(axes, Poly3DCollection([], facecolors=face, zorder=zorder, **style))
+
+        def net(color: str, zorder: float, **style: Any) -> Line3DCollection:
+            return _added(axes, Line3DCollection([], colors=color, zorder=zorder, **style))
+
+        self.view_shadow = area("#E4EEF5", 1.0, edgecolors="#E4EEF5", linewidths=0.6)
+        self.path_shadow = line("#B8C4CE", lw=1.1 * scale, zorder=1.3)
+        self.drops = line(GREY, lw=0.7 * scale, ls=(0, (1, 2)), zorder=1.4)
+        self.shadows = line("#9A9A9A", ls="none", marker="o", ms=2.6 * scale, zorder=1.5)
+        self.trails = line(GREY, lw=0.9 * scale, zorder=2)
+        self.unseen = area(UNSEEN + "1A", 3.0, edgecolors=UNSEEN, linewidths=1.0 * scale, linestyles=[(0, (3, 2))])
+        self.unseen_net = net(UNSEEN + "66", 3.1, linewidths=0.6 * scale, linestyles=[(0, (3, 2))])
+        self.path = line(AGENT, lw=1.5 * scale, zorder=4)
+        self.view = area(SKY + "2E", 5.0, edgecolors="none")
+        self.edges = net(AGENT, 5.1, linewidths=0.9 * scale)
+        self.seen = area(SEEN + "48", 6.0, edgecolors=SEEN, linewidths=1.3 * scale)
+        self.seen_net = net(SEEN + "AA", 6.1, linewidths=0.7 * scale)
+        cross = {"ls": "none", "marker": "x", "ms": 5.5 * scale, "mew": 1.1 * scale}
+        self.unseen_means = line(UNSEEN, zorder=3.2, **cross)
+        self.seen_means = line(SEEN, zorder=6.2, **cross)
+        self.targets = line(BLACK, ls="none", marker="s", ms=3.0 * scale, zorder=7)
+        self.agent = area(DART_COLORS, 8.0, edgecolors="white", linewidths=0.4 * scale)
+
+    @property
+    def artists(self) -> list[Artist]:
+        """All that moves: the axes themselves, as the camera does."""
+        return [self.axes]
+
+    def show(self, moment: int) -> None:
+        """Move to a moment of the film (see `snapshot`)."""
+        now = snapshot(self.film, self.arc, moment, self.trail)
+        self.axes.view_init(ELEVATION, AZIMUTH + self.swing * (moment / max(1, len(self.arc) - 1) - 0.5))
+        eye = self.axes.eye
+        self.trails.set_data_3d(*broken(now.tracks, now.tracked).T)
+        self.path.set_data_3d(*now.path.T)
+        self.path_shadow.set_data_3d(*self._on_floor(now.path).T)
+        posts = np.concatenate([now.truth, positions(now.pose)[None]])
+        self.drops.set_data_3d(*broken(np.stack([posts, self._on_floor(posts)]), np.ones((2, len(posts)), bool)).T)
+        self.shadows.set_data_3d(*self._on_floor(posts).T)
+        walls = [placed(now.pose, face) for face in self.faces]
+        self.view.set_verts(walls)
+        self.view_shadow.set_verts([self._on_floor(wall) for wall in walls])
+        self.edges.set_segments([placed(now.pose, line) for line in self.film.outline])
+        self.agent.set_verts([placed(now.pose, self.size * DART[list(face)]) for face in DART_FACES])
+        self.targets.set_data_3d(*now.truth.T)
+        for areas, net, means, which in (
+            (self.seen, self.seen_net, self.seen_means, now.seen),
+            (self.unseen, self.unseen_net, self.unseen_means, ~now.seen),
+        ):
+            belief = now.estimate[which], now.covariance[which]
+            areas.set_verts(list(contours(*belief, eye)))
+            net.set_segments(list(meridians(*belief, eye)))
+            means.set_data_3d(*belief[0].T)
+
+    def label(self, size: float, x: bool = True, y: bool = True) -> None:
+        """Small numbers where `y` asks for them, the names of the axes where both do: all panels show the same box."""
+        self.axes.margin_pt = 2.3 * size
+        for name, axis in (("x", self.axes.xaxis), ("y", self.axes.yaxis), ("z", self.axes.zaxis)):
+            axis.set_tick_params(labelsize=size, pad=0.3 * size - 5.7, color=GREY, width=0.6)
+            if not y:
+                axis.set_major_formatter(NullFormatter())
+            axis.set_label_text(f"{name} [m]" if x and y else "", fontsize=size)
+            axis.labelpad = 1.2 * size - 15.8
+
+    def _on_floor(self, points: np.ndarray) -> np.ndarray:
+        return np.concatenate([points[..., :2], np.full((*points.shape[:-1], 1), self.floor)], axis=-1)
+
+
+def _added(axes: SpaceAxes, collection: Drawn) -> Drawn:
+    axes.add_collection3d(collection, autolim=False)
+    return collection
+
+
+def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
+    """Equal scales, a light grid on a floor, no walls."""
+    low, high = box
+    axes.set(xlim=box[:, 0], ylim=box[:, 1], zlim=box[:, 2])
+    axes.set_box_aspect(high - low)
+    axes.set_proj_type("persp", focal_length=1.4)
+    axes.computed_zorder = False
+    axes.grid(False)
+    ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, (high - low).max())
+    walls: list[Any] = [axes.xaxis, axes.yaxis, axes.zaxis]
+    for axis in walls:
+        axis.set_pane_color((1, 1, 1, 0))
+        axis.pane.set_edgecolor((1, 1, 1, 0))
+        axis.line.set(color=GREY, linewidth=0.6)
+        axis.set_major_locator(MultipleLocator(ticks[1] - ticks[0]))
+    x, y = (np.array(axis.get_majorticklocs()) for axis in (axes.xaxis, axes.yaxis))
+    x, y = x[(x > low[0]) & (x < high[0])], y[(y > low[1]) & (y < high[1])]
+    segments = [[(t, low[1], low[2]), (t, high[1], low[2])] for t in (low[0], *x, high[0])]
+    segments += [[(low[0], t, low[2]), (high[0], t, low[2])] for t in (low[1], *y, high[1])]
+    _added(axes, Line3DCollection(segments, colors="#D8D8D8", linewidths=0.6, zorder=1.2))
+    floor = [(box[i, 0], box[j, 1], low[2]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    _added(axes, Poly3DCollection([floor], facecolors="#F7F7F7", zorder=0.9))
+
+
+def _aim(axes: SpaceAxes, box: np.ndarray, swing: float) -> None:
+    """Keep the box in sight from wherever the camera will be."""
+    corners = np.array([(x, y, z, 1.0) for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
+    flat = []
+    for turn in (-swing / 2, 0.0, swing / 2):
+        axes.view_init(ELEVATION, AZIMUTH + turn)
+        x, y, _, w = axes.get_proj() @ corners.T
+        flat.append(np.stack([x / w, y / w], axis=1))
+    points = np.concatenate(flat)
+    axes.seen = np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def stage_of(film: Film) -> type[Stage] | type[SpatialStage]:
+    """What draws a film."""
+    return SpatialStage if film.space.dimension == 3 else Stage

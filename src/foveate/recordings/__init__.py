@@ -1,0 +1,1 @@
+"""Recorded trajectories: read, fit a scenario, replay."""

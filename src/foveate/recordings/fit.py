@@ -1,0 +1,126 @@
+"""From a recording to a scenario: who moves there and how, as an experiment that trains a policy for it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from foveate.experiment.experiment import REACH, Experiment
+from foveate.experiment.learners import ActorCriticSettings
+from foveate.policies.pointer import PointerSettings
+from foveate.recordings.motion import MotionStatistics
+from foveate.scenario.agent import DifferentialDrive, Quadrotor
+from foveate.scenario.field_of_view import FrustumView, SectorView
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.target import VelocityTarget
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """The user's agent and sensor: top speed [m/s], turn rate [rad/s], depth [m] and angle [deg] of view, noise [m].
+
+    In space a quadrotor that climbs at half its speed, with a camera two thirds as high as wide.
+    """
+
+    v_max: float
+    w_max: float
+    depth_m: float
+    angle_deg: float
+    std_m: float
+
+
+def fit_experiment(
+    statistics: MotionStatistics, robot: Robot, goal: Literal["seen", "information"] = "seen"
+) -> Experiment:
+    """A scenario whose targets appear where the recording has them and move as it says, for the user's robot, and a
+    policy that learns there by trying.
+
+    `goal`: to have the targets in view for as long as possible ("seen"), or to know all of them well ("information":
+    the policy then looks around rather than stays).
+    """
+    agent, view = _quadrotor(robot) if len(statistics.robust_lower_m) == 3 else _drive(robot)
+    scenario = Scenario(
+        tau_s=statistics.tau_s,
+        agent=agent,
+        view=view,
+        sensor=SensorSettings(std_m=robot.std_m),
+        target=_target(statistics),
+        scenes=_scenes(statistics),
+    )
+    training = ActorCriticSettings(
+        algorithm="actor-critic",
+        epochs=150,
+        episodes=192,
+        objective="seen" if goal == "seen" else "mean",
+    )
+    return Experiment(
+        scenario=scenario,
+        policy=PointerSettings(kind="pointer", length_m=REACH * robot.depth_m),
+        training=training,
+    )
+
+
+def _drive(robot: Robot) -> tuple[DifferentialDrive, SectorView]:
+    agent = DifferentialDrive(v_max_m_s=robot.v_max, w_max_rad_s=robot.w_max)
+    return agent, SectorView(depth_m=robot.depth_m, angle_deg=robot.angle_deg)
+
+
+def _quadrotor(robot: Robot) -> tuple[Quadrotor, FrustumView]:
+    agent = Quadrotor(
+        kind="quadrotor",
+        v_max_m_s=robot.v_max,
+        climb_max_m_s=0.5 * robot.v_max,
+        yaw_rate_max_rad_s=robot.w_max,
+    )
+    view = FrustumView(
+        shape="frustum",
+        near_m=min(0.3, 0.05 * robot.depth_m),
+        depth_m=robot.depth_m,
+        width_deg=robot.angle_deg,
+        height_deg=2 / 3 * robot.angle_deg,
+    )
+    return agent, view
+
+
+def _target(statistics: MotionStatistics) -> VelocityTarget:
+    """Velocities driven by white noise of the recording's accelerations, and forgotten as its speeds stay bounded.
+
+    A speed of stationary second moment s^2 under noise of density q has a memory of 2 s^2 / q.
+    """
+    square_speed = float(np.trace(statistics.walk_covariance_m2)) / statistics.tau_s**2
+    density, d = statistics.acceleration_intensity, len(statistics.robust_lower_m)
+    if density is None:  # too short a recording to tell: a speed that is lost within 2 s
+        density = square_speed / d * np.eye(d)
+    return VelocityTarget(
+        kind="constant_velocity",
+        acceleration_m2_s3=float(np.trace(density)) / d,
+        Q=tuple(tuple(float(x) for x in row) for row in density),
+        memory_s=max(2 * square_speed / float(np.trace(density)), statistics.tau_s),
+        initial_variance_m2=1.0,
+        initial_velocity_variance_m2_s2=square_speed / d,
+    )
+
+
+def _scenes(statistics: MotionStatistics) -> SceneSettings:
+    """Targets up to as many as the recording has, as fast, uniform in the box of 98 % of its fixes, for 20 s."""
+    lower, upper = statistics.robust_lower_m, statistics.robust_upper_m
+    sides = tuple(float(x) for x in np.maximum((upper - lower) / 2, 1.0))
+    return SceneSettings(
+        targets_min=1,  # what was there at once is a sample
+        targets_max=max(2, int(np.ceil(statistics.at_once_p95))),
+        centre_m=tuple(float(x) for x in (lower + upper) / 2),
+        half_side_m=sides,
+        half_side_per_target_m=0.0,
+        agent_spread=1.0,
+        agent_test_half_side_m=min(sides),
+        # Uniform velocities of the recording's own second moment: a street has walkers along it, few across.
+        drift_m_s=tuple(float(x) for x in np.sqrt(3 * np.diag(statistics.walk_covariance_m2)) / statistics.tau_s),
+        shared_drift=False,
+        known_drift=False,
+        turnover=True,
+        jitter_m_s=0.0,
+        steps=max(10, round(20.0 / statistics.tau_s)),
+        initial_error="consistent",
+    )

@@ -1,0 +1,173 @@
+"""Read recordings from CSV files."""
+
+import csv
+import hashlib
+from array import array
+from collections.abc import Iterator
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from foveate.io.files import read_text
+from foveate.recordings.recording import Recording, Track
+
+COLUMNS = ("time_s", "track_id", "x_m", "y_m", "z_m")
+
+
+MAX_LINE_BYTES = 4096
+
+
+MAX_MAGNITUDE = 1e12  # s or m: squares stay finite, and a float64 clock still resolves 0.2 ms
+
+
+_HEADER = "the header must be time_s,track_id,x_m,y_m or time_s,track_id,x_m,y_m,z_m"
+
+
+def load_recording(path: str | PathLike[str]) -> Recording:
+    """Read a recording, strictly.
+
+    Track ids are text, numbers too ("7" and "07" differ; blanks around them do not count). Blank lines and a
+    byte-order mark are passed over. Memory grows only with the number of fixes, (d + 2) numbers for each. Where a file
+    of the same name with .sha256 behind it lies beside the recording (`sha256sum r.csv > r.csv.sha256` makes it), the
+    recording must be what that says: CSV itself does not show a changed digit.
+
+    Raises:
+        ValueError: one line with file, line number, the value, and what would be right.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest() if path.is_file() else ""
+            _check_sum(path, sha256)
+            if sha256:
+                file.seek(0)
+            return replace(_parse(path, file), sha256=sha256)
+    except IsADirectoryError:
+        raise ValueError(f"{path}: is a directory; give the path of a recording, a CSV file") from None
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file; give the path of a recording, a CSV file") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _check_sum(path: Path, sha256: str) -> None:
+    """Raise ValueError where a sum lies beside the recording, and is another."""
+    beside = path.with_name(f"{path.name}.sha256")
+    if not sha256 or not beside.is_file():
+        return
+    wanted = read_text(beside, "SHA-256 sum").split()[:1]
+    if wanted != [sha256]:
+        raise ValueError(f"{path}: is cut short, damaged or changed: {beside.name} says another SHA-256 sum")
+
+
+def _parse(path: Path, file: BinaryIO) -> Recording:
+    reader = csv.reader(_lines(file), strict=True)
+    line = 1
+    try:
+        dimension = _header_dimension(next(reader, None))
+        times, points, owners = array("d"), array("d"), array("q")
+        index_of: dict[str, int] = {}
+        # Times are sorted, so a duplicate can only repeat its track's last time.
+        last_s: list[float] = []
+        now_s = -np.inf
+        line = reader.line_num + 1
+        for row in reader:
+            if row:
+                time_s, track_id, *point = _row(row, dimension)
+                if time_s < now_s:
+                    raise ValueError(f"time_s {time_s!r} comes after {now_s!r}; rows must be sorted by time")
+                now_s = time_s
+                owner = index_of.get(track_id)
+                if owner is None:
+                    owner = index_of[_checked_id(track_id)] = len(last_s)
+                    last_s.append(-np.inf)
+                if last_s[owner] == time_s:
+                    raise ValueError(
+                        f"track_id {track_id!r} has two rows at time_s {time_s!r}; "
+                        "there must be one row for each time and track"
+                    )
+                last_s[owner] = time_s
+                times.append(time_s)
+                points.extend(point)
+                owners.append(owner)
+            line = reader.line_num + 1
+    except (ValueError, csv.Error) as error:
+        expected = "; every row must be plain comma-separated text" if isinstance(error, csv.Error) else ""
+        raise ValueError(f"{path}: line {line}: {error}{expected}") from None
+    if not times:
+        raise ValueError(f"{path}: line {line}: no rows; at least one row must follow the header")
+    tracks = _group(np.asarray(times), np.asarray(points).reshape(-1, dimension), np.asarray(owners), index_of)
+    return Recording(name=str(path), dimension=dimension, tracks=tracks)
+
+
+def _lines(file: BinaryIO) -> Iterator[str]:
+    """Decoded lines, each one bounded: a file that is no text at all must not fill the memory."""
+    encoding = "utf-8-sig"
+    while raw := file.readline(MAX_LINE_BYTES + 1):
+        if len(raw) > MAX_LINE_BYTES:
+            raise ValueError(f"longer than {MAX_LINE_BYTES} bytes; a row is a time, a track id and a position")
+        try:
+            yield raw.decode(encoding)
+        except UnicodeDecodeError as error:
+            bad = raw[error.start : error.start + 1]
+            raise ValueError(f"byte {bad!r} is not UTF-8; save the file as UTF-8 text") from None
+        encoding = "utf-8"
+
+
+def _header_dimension(header: list[str] | None) -> int:
+    if header is None:
+        raise ValueError(f"the file is empty; {_HEADER}")
+    names = tuple(header)
+    if names in (COLUMNS[:4], COLUMNS):
+        return len(names) - 2
+    unexpected = [name for i, name in enumerate(names) if name not in COLUMNS or name in names[:i]]
+    missing = [name for name in COLUMNS[:4] if name not in names]
+    if unexpected:
+        raise ValueError(f"unexpected column {_shown(unexpected[0])}; {_HEADER}")
+    if missing:
+        raise ValueError(f"column {missing[0]!r} is missing; {_HEADER}")
+    raise ValueError(f"the columns {','.join(names)} are out of order; {_HEADER}")
+
+
+def _row(row: list[str], dimension: int) -> tuple:
+    if len(row) != dimension + 2:
+        expected = ",".join(COLUMNS[: dimension + 2])
+        raise ValueError(f"{len(row)} fields; there must be {dimension + 2}: {expected}")
+    point = map(_number, row[2:], COLUMNS[2:])
+    return _number(row[0], COLUMNS[0]), row[1].strip(), *point
+
+
+def _number(text: str, column: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    # Python reads "1_000" as a number, a recording does not; NaN fails the comparison.
+    if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE or "_" in text:
+        unit = "seconds" if column == "time_s" else "metres"
+        limit = f"at most {MAX_MAGNITUDE:g} in size"
+        raise ValueError(f"{column} is {_shown(text)}; it must be a finite number of {unit}, {limit}")
+    return value
+
+
+def _checked_id(track_id: str) -> str:
+    if not track_id or not track_id.isprintable():
+        raise ValueError(f"track_id is {_shown(track_id)}; it must be a name or number of printable characters")
+    return track_id
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+def _group(times: np.ndarray, points: np.ndarray, owners: np.ndarray, ids: dict[str, int]) -> tuple[Track, ...]:
+    order = np.argsort(owners, kind="stable")  # stable: the fixes of a track stay sorted by time
+    times, points = times[order], points[order]
+    times.setflags(write=False)
+    points.setflags(write=False)
+    bounds = np.searchsorted(owners[order], np.arange(len(ids) + 1))
+    spans = zip(ids, bounds[:-1], bounds[1:], strict=True)
+    return tuple(Track(track_id=i, times_s=times[a:b], positions_m=points[a:b]) for i, a, b in spans)

@@ -1,0 +1,276 @@
+"""What a recording says about its targets: how many, how fast, how long, and how their motion is modelled.
+
+All motion is estimated from pairs of real fixes, not from interpolated positions: interpolation would smooth
+a random walk (its displacement over one tau would come out too small by up to the factor tau / fix interval).
+A pair spans about h = max(tau, median fix interval) and its true time difference dt is used, so an irregular
+clock does no harm.
+
+Outliers are met three times. (1) A fix that is *out and back*, both its steps more than 10 times the median
+of the steps around it and 3 times the step that would skip it, is left out. (2) Pairs faster than 4 times the
+98th percentile of all are left out of the moments: a Gaussian walk never comes near that limit, and up to 2 %
+of wrong pairs are removed wherever they lie. The limit is no multiple of the median (MAD), because targets
+that stand still most of the time have a median of zero, and their motion must not be cut off.
+(3) Percentiles, of the extent too, are reported beside the extremes.
+"""
+
+from dataclasses import dataclass
+from math import log2
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from foveate.recordings.recording import Recording, Track, resample_slots
+
+_SPIKE_STEPS = 10.0
+
+
+_SPIKE_DETOUR = 3.0
+
+
+_SPIKE_NEIGHBOURS = 5  # steps on each side
+
+
+_TRIM_FACTOR, _TRIM_PERCENTILE = 4.0, 98.0
+
+
+_FLOOR_STD = 1e-3  # m per step, or m/s^1.5: below what any tracker resolves
+
+
+_FLOOR_RATIO = 1e-4  # of the largest eigenvalue: keeps the inverse exact to 1e-3 in float32
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionStatistics:
+    """Statistics of a recording at the control step `tau_s`; positions in metres, times in seconds.
+
+    at_once_*: targets present at one instant, over the instants with a target at all (a share
+        `occupied_fraction` of the span), so that `at_once_min` >= 1.
+    extent_*, robust_*: box around all fixes, and from the 1st to the 99th percentile of each coordinate.
+    speed_*: |dy| / dt over pairs of fixes [m/s]; the noise of the fixes adds to it for slow targets.
+    walk_covariance_m2: process noise W per step of the random walk y' = y + w, the second moment of the
+        displacement over tau about zero (it holds the mean motion too), symmetric positive definite [m^2].
+        Fixes with noise of variance r per axis add 2 r to its diagonal.
+    acceleration_intensity: white-noise acceleration intensity q of a constant-velocity model [m^2/s^3]; None
+        where no track has three fixes in a row. See `fit_statistics`.
+    persistence: correlation of consecutive velocities, about zero: 1 straight on, 0 random walk, -1 back and
+        forth; 0 where nothing moves; None as above.
+    lifetime_s, lifetime_steps: median time from first to last fix of a track, and in steps of tau.
+    fix_interval_s: median time between consecutive fixes of a track.
+    spikes, trimmed_fraction: fixes left out as outliers, and the share of pairs left out of the moments.
+    """
+
+    tau_s: float
+    max_gap_s: float
+    tracks: int
+    span_s: float
+    occupied_fraction: float
+    at_once_min: int
+    at_once_median: float
+    at_once_p95: float
+    at_once_max: int
+    extent_lower_m: Float[np.ndarray, " d"]
+    extent_upper_m: Float[np.ndarray, " d"]
+    robust_lower_m: Float[np.ndarray, " d"]
+    robust_upper_m: Float[np.ndarray, " d"]
+    speed_median_m_s: float
+    speed_p95_m_s: float
+    walk_covariance_m2: Float[np.ndarray, "d d"]
+    acceleration_intensity: Float[np.ndarray, "d d"] | None
+    persistence: float | None
+    lifetime_s: float
+    lifetime_steps: int
+    fix_interval_s: float
+    spikes: int
+    trimmed_fraction: float
+
+    def lines(self) -> list[str]:
+        """What a person wants to know of it, a line each."""
+        lower, upper = self.robust_lower_m, self.robust_upper_m
+        walk = np.sqrt(np.diag(self.walk_covariance_m2))
+        found = [
+            f"{self.tracks} tracks in {self.span_s:.0f} s; at once {self.at_once_min} to {self.at_once_max}, "
+            f"median {self.at_once_median:g}",
+            "extent "
+            + " x ".join(f"{a:.1f}..{b:.1f}" for a, b in zip(lower, upper, strict=True))
+            + " m (98 % of fixes)",
+            f"speed median {self.speed_median_m_s:.2f}, 95th percentile {self.speed_p95_m_s:.2f} m/s",
+            f"random walk: {' x '.join(f'{x:.2f}' for x in walk)} m (std) per step of {self.tau_s:g} s",
+        ]
+        if self.acceleration_intensity is not None and self.persistence is not None:
+            q = np.diag(self.acceleration_intensity)
+            found.append(
+                f"constant velocity (estimate): q = {' x '.join(f'{x:.3g}' for x in q)} m^2/s^3, "
+                f"persistence of direction {self.persistence:.2f}"
+            )
+        return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Velocities:
+    """Mean velocities [m/s] over pairs of fixes and the spans [s] of these pairs, from all tracks.
+
+    `turns` holds, row by row, the indices of two pairs of which the second starts where the first ends.
+    """
+
+    velocity: Float[np.ndarray, "pairs d"]
+    dt: Float[np.ndarray, " pairs"]
+    turns: np.ndarray
+
+
+def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None = None) -> MotionStatistics:
+    """Estimate the motion of a recording's targets for a control step of `tau_s`.
+
+    `max_gap_s` is the longest gap between two fixes over which a target counts as present, and no pair of
+    fixes spans a longer one; None takes `default_max_gap_s`.
+
+    W: mean of dy dy^T over pairs of fixes about h apart, each dy scaled to one tau by (tau / dt)^(a/2). The
+    exponent a = 1 + log2(1 + max(persistence, 0)) says how the second moment grows with time: as 1 for a
+    random walk, as 2 for straight motion. It matters only where the fixes are further apart than tau.
+
+    q: for a velocity driven by white noise, two consecutive mean velocities over h1 and h2 differ by noise of
+    covariance q (h1 + h2) / 3, so q is the mean of 3 dv dv^T / (h1 + h2). Fixes with noise of variance r per
+    axis add 9 r / h^3 to it, which dominates at short h: q is an upper bound, to be trusted where it stays
+    the same for a longer tau.
+
+    Raises:
+        ValueError: as `foveate.recordings.recording.resample_slots`, or no pair of fixes closer than the gap allows.
+    """
+    interval_s = median_fix_interval_s(recording)
+    gap_s = default_max_gap_s(recording) if max_gap_s is None else max_gap_s
+    count = resample_slots(recording, tau_s, gap_s).present.sum(axis=1)
+    # A short recording may hold its only target between two instants.
+    occupied = count[count > 0] if count.any() else np.ones(1, dtype=int)
+    kept = [_without_spikes(track) for track in recording.tracks]
+    pairs = _velocities(kept, max(tau_s, interval_s), gap_s)
+    if not len(pairs.dt):
+        raise ValueError(
+            f"{recording.name}: no track has two fixes about {max(tau_s, interval_s):g} s apart "
+            f"without a gap over {gap_s:g} s; the median fix interval is {interval_s:g} s: "
+            "choose max_gap_s above it"
+        )
+    positions = np.concatenate([track.positions_m for track in kept])
+    lower, upper = recording.extent
+    life_s = float(np.median([track.times_s[-1] - track.times_s[0] for track in recording.tracks]))
+    speed = np.linalg.norm(pairs.velocity, axis=1)
+    usual = _usual(speed)
+    persistence, acceleration = _turning(pairs, usual)
+    exponent = 1.0 + log2(1.0 + max(persistence or 0.0, 0.0))
+    steps = pairs.velocity * (pairs.dt * (tau_s / pairs.dt) ** (exponent / 2.0))[:, None]
+    robust_lower, robust_upper = np.percentile(positions, [1.0, 99.0], axis=0)
+    return MotionStatistics(
+        tau_s=tau_s,
+        max_gap_s=gap_s,
+        tracks=len(recording.tracks),
+        span_s=recording.end_s - recording.start_s,
+        occupied_fraction=float(np.mean(count > 0)),
+        at_once_min=int(occupied.min()),
+        at_once_median=float(np.median(occupied)),
+        at_once_p95=float(np.percentile(occupied, 95.0)),
+        at_once_max=int(occupied.max()),
+        extent_lower_m=lower,
+        extent_upper_m=upper,
+        robust_lower_m=robust_lower,
+        robust_upper_m=robust_upper,
+        speed_median_m_s=float(np.median(speed[usual])),
+        speed_p95_m_s=float(np.percentile(speed[usual], 95.0)),
+        walk_covariance_m2=_second_moment(steps[usual]),
+        acceleration_intensity=acceleration,
+        persistence=persistence,
+        lifetime_s=life_s,
+        lifetime_steps=round(life_s / tau_s),
+        fix_interval_s=interval_s,
+        spikes=sum(len(track.times_s) for track in recording.tracks) - len(positions),
+        trimmed_fraction=1.0 - float(usual.mean()),
+    )
+
+
+def median_fix_interval_s(recording: Recording) -> float:
+    """Median time between consecutive fixes of a track [s].
+
+    Raises:
+        ValueError: no track has two fixes.
+    """
+    intervals = np.concatenate([np.diff(track.times_s) for track in recording.tracks])
+    if not len(intervals):
+        raise ValueError(f"{recording.name}: no track has two fixes; nothing can be said about motion")
+    return float(np.median(intervals))
+
+
+def default_max_gap_s(recording: Recording) -> float:
+    """A gap that ends a sighting [s]: 2 s, but three median fix intervals for a slow clock (ships, animals).
+
+    Raises:
+        ValueError: no track has two fixes.
+    """
+    return max(2.0, 3.0 * median_fix_interval_s(recording))
+
+
+def _without_spikes(track: Track) -> Track:
+    steps = np.linalg.norm(np.diff(track.positions_m, axis=0), axis=1)
+    if len(steps) < 2:
+        return track
+    padded = np.pad(steps, _SPIKE_NEIGHBOURS, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _SPIKE_NEIGHBOURS + 1)
+    typical = np.median(windows, axis=1)
+    skipping = np.linalg.norm(track.positions_m[2:] - track.positions_m[:-2], axis=1)
+    shorter = np.minimum(steps[:-1], steps[1:])
+    usual_step = np.maximum(np.maximum(typical[:-1], typical[1:]), _FLOOR_STD)
+    spike = (shorter > _SPIKE_STEPS * usual_step) & (shorter > _SPIKE_DETOUR * skipping)
+    kept = np.concatenate([[True], ~spike, [True]])
+    return Track(track_id=track.track_id, times_s=track.times_s[kept], positions_m=track.positions_m[kept])
+
+
+def _velocities(tracks: list[Track], spacing_s: float, max_gap_s: float) -> _Velocities:
+    velocity, dt, turns, offset = [], [], [], 0
+    for track in tracks:
+        start, end = _pairs(track.times_s, spacing_s, max_gap_s)
+        span = track.times_s[end] - track.times_s[start]
+        velocity.append((track.positions_m[end] - track.positions_m[start]) / span[:, None])
+        dt.append(span)
+        pair_from = np.full(len(track.times_s), -1)  # the pair that starts at a fix
+        pair_from[start] = np.arange(len(start))
+        follower = pair_from[end]
+        chained = follower >= 0
+        turns.append(offset + np.stack([np.flatnonzero(chained), follower[chained]], axis=1))
+        offset += len(start)
+    return _Velocities(velocity=np.concatenate(velocity), dt=np.concatenate(dt), turns=np.concatenate(turns))
+
+
+def _pairs(times: np.ndarray, spacing_s: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Each fix with the one nearest to `spacing_s` later, 1/2 to 2 spacings away and no long gap between."""
+    last = len(times) - 1
+    start = np.arange(last)
+    wanted = times[:-1] + spacing_s
+    after = np.clip(np.searchsorted(times, wanted), start + 1, last)
+    before = np.maximum(after - 1, start + 1)
+    end = np.where(wanted - times[before] <= times[after] - wanted, before, after)
+    dt = times[end] - times[start]
+    long_gaps = np.concatenate([[0], np.cumsum(np.diff(times) > max_gap_s * (1 + 1e-6))])
+    good = (dt >= 0.5 * spacing_s) & (dt <= 2.0 * spacing_s) & (long_gaps[start] == long_gaps[end])
+    return start[good], end[good]
+
+
+def _usual(size: Float[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
+    return size <= _TRIM_FACTOR * np.percentile(size, _TRIM_PERCENTILE)
+
+
+def _turning(
+    pairs: _Velocities, usual: Bool[np.ndarray, " pairs"]
+) -> tuple[float | None, Float[np.ndarray, "d d"] | None]:
+    """Persistence and white-noise acceleration intensity, from consecutive pairs."""
+    first, second = pairs.turns[usual[pairs.turns].all(axis=1)].T
+    if not len(first):
+        return None, None
+    v, w = pairs.velocity[first], pairs.velocity[second]
+    power = np.sqrt(np.sum(v**2) * np.sum(w**2))
+    persistence = float(np.sum(v * w) / power) if power > 0 else 0.0
+    change = (w - v) * np.sqrt(3.0 / (pairs.dt[first] + pairs.dt[second]))[:, None]
+    return persistence, _second_moment(change[_usual(np.linalg.norm(change, axis=1))])
+
+
+def _second_moment(samples: Float[np.ndarray, "samples d"]) -> Float[np.ndarray, "d d"]:
+    """Mean of s s^T, with its eigenvalues floored: symmetric and safe to invert."""
+    values, axes = np.linalg.eigh(samples.T @ samples / len(samples))
+    values = np.maximum(values, max(_FLOOR_STD**2, _FLOOR_RATIO * values[-1]))
+    moment = (axes * values) @ axes.T
+    return (moment + moment.T) / 2.0

@@ -1,0 +1,258 @@
+"""Recordings of real targets: read the CSV, cut it in time, sample it at control instants, pack its tracks.
+
+A recording is a CSV file with the header `time_s,track_id,x_m,y_m[,z_m]`: one row, a *fix*, says where one
+target was at one time. Rows are sorted by time; the clock may be irregular, and targets come and go. All
+positions are in the world frame [m], all times in seconds of the recording's own clock.
+"""
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import floor, isfinite
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+MAX_CELLS = 20_000_000  # instants x tracks of one sampled array: about 0.5 GB in space
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """The fixes of one target: strictly increasing times [s] and world positions [m], one row per fix."""
+
+    track_id: str
+    times_s: Float[np.ndarray, " m"]
+    positions_m: Float[np.ndarray, "m d"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """Tracks of real targets, in the order in which they first appear; at least one, each with a fix."""
+
+    name: str
+    dimension: int
+    tracks: tuple[Track, ...]
+    sha256: str = ""
+    """Of the file, in hex; empty for one that was made in memory."""
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first fix [s]."""
+        return float(min(track.times_s[0] for track in self.tracks))
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last fix [s]."""
+        return float(max(track.times_s[-1] for track in self.tracks))
+
+    @property
+    def extent(self) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, " d"]]:
+        """Lower and upper corner of the box around all fixes [m]."""
+        lower = np.min([track.positions_m.min(axis=0) for track in self.tracks], axis=0)
+        return lower, np.max([track.positions_m.max(axis=0) for track in self.tracks], axis=0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampled:
+    """A recording at control instants t_k = start + k tau, one column per track.
+
+    Where a track is absent, `positions_m` holds its nearest known position in time, never NaN.
+    `dropped` counts the tracks of the recording that are present at no instant and have no column.
+    """
+
+    times_s: Float[np.ndarray, " steps"]
+    present: Bool[np.ndarray, "steps n"]
+    positions_m: Float[np.ndarray, "steps n d"]
+    track_ids: tuple[str, ...]
+    dropped: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slots:
+    """A sampled recording in few columns, each of which serves one track after another.
+
+    `track_index` is the index into `track_ids` of the track that is present in a column, -1 where none is.
+    Where a column is empty, `positions_m` holds its last known position (its first one before that).
+    """
+
+    times_s: Float[np.ndarray, " steps"]
+    present: Bool[np.ndarray, "steps columns"]
+    positions_m: Float[np.ndarray, "steps columns d"]
+    track_index: Int[np.ndarray, "steps columns"]
+    track_ids: tuple[str, ...]
+    dropped: int
+
+
+class _Piece(NamedTuple):
+    """One track from instant `first` on, for as many instants as its fixes span."""
+
+    first: int
+    present: np.ndarray
+    positions_m: np.ndarray
+
+
+def window(recording: Recording, start_s: float | None = None, end_s: float | None = None) -> Recording:
+    """The fixes with start_s <= time <= end_s; None leaves that side open.
+
+    The result starts at its own first fix, which may be later than `start_s`.
+
+    Raises:
+        ValueError: no fix is left; names the span of the recording.
+    """
+    lower = -np.inf if start_s is None else start_s
+    upper = np.inf if end_s is None else end_s
+    kept = []
+    for track in recording.tracks:
+        inside = (track.times_s >= lower) & (track.times_s <= upper)
+        if inside.any():
+            kept.append(replace(track, times_s=track.times_s[inside], positions_m=track.positions_m[inside]))
+    if not kept:
+        raise ValueError(
+            f"{recording.name}: no fix between start {lower:g} s and end {upper:g} s; "
+            f"the recording spans {recording.start_s:.10g} s to {recording.end_s:.10g} s"
+        )
+    return replace(recording, tracks=tuple(kept))
+
+
+def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Sampled:
+    """Positions of every track at the instants t_k = start + k tau, k = 0..K, t_K <= end.
+
+    Between two fixes at most `max_gap_s` apart the position is interpolated linearly, the track present.
+    It is absent before its first fix, after its last, and between fixes further apart than that, except where
+    an instant coincides with a fix (to within 1e-6 tau). A track with one fix is therefore present at one
+    instant or, far more often, at none: nothing says how long it was there.
+
+    Raises:
+        ValueError: tau or max_gap not positive and finite, a recording shorter than tau, or a result of more
+            than `MAX_CELLS` instants x tracks (`resample_slots` needs far less).
+    """
+    times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
+    _check_size(recording.name, len(times), len(tracks))
+    present = np.zeros((len(times), len(tracks)), dtype=bool)
+    positions = np.empty((len(times), len(tracks), recording.dimension))
+    for column, (track, piece) in enumerate(zip(tracks, pieces, strict=True)):
+        stop = piece.first + len(piece.present)
+        present[piece.first : stop, column] = piece.present
+        positions[: piece.first, column] = track.positions_m[0]
+        positions[piece.first : stop, column] = piece.positions_m
+        positions[stop:, column] = track.positions_m[-1]
+    return Sampled(
+        times_s=times,
+        present=present,
+        positions_m=positions,
+        track_ids=tuple(track.track_id for track in tracks),
+        dropped=len(recording.tracks) - len(tracks),
+    )
+
+
+def slots(sampled: Sampled) -> Slots:
+    """Pack the tracks into as few columns as possible, by greedy colouring of their intervals.
+
+    A column serves a later track only after the earlier one has left for good, with at least one absent
+    instant between, so that the later one is seen as a new target. A track keeps its column over inner gaps.
+    """
+    columns = zip(sampled.present.T, sampled.positions_m.swapaxes(0, 1), strict=True)
+    pieces = [_Piece(0, present, positions) for present, positions in columns]
+    return _pack(
+        "a sampled recording", pieces, sampled.times_s, sampled.positions_m.shape[2], sampled.track_ids, sampled.dropped
+    )
+
+
+def resample_slots(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slots:
+    """`slots(resample(...))` without the array of all tracks: for recordings of thousands of short tracks.
+
+    Raises:
+        ValueError: as `resample`, but for more than `MAX_CELLS` instants x columns.
+    """
+    times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
+    ids = tuple(track.track_id for track in tracks)
+    return _pack(recording.name, pieces, times, recording.dimension, ids, len(recording.tracks) - len(tracks))
+
+
+def _sampled_tracks(
+    recording: Recording, tau_s: float, max_gap_s: float
+) -> tuple[np.ndarray, list[Track], list[_Piece]]:
+    """The instants, the tracks that are present at one of them, and these tracks sampled."""
+    for name, value in (("tau_s", tau_s), ("max_gap_s", max_gap_s)):
+        if not (isfinite(value) and value > 0):
+            raise ValueError(f"{name} is {value!r}; it must be a positive, finite number of seconds")
+    start_s, span_s = recording.start_s, recording.end_s - recording.start_s
+    steps = floor(span_s / tau_s + 1e-6)  # the tolerance keeps an end that falls on an instant
+    if steps < 1:
+        raise ValueError(f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least")
+    _check_size(recording.name, steps + 1, 1)
+    times = start_s + tau_s * np.arange(steps + 1)
+    pieces = [_sample(track, times, tau_s, max_gap_s) for track in recording.tracks]
+    kept = [i for i, piece in enumerate(pieces) if piece.present.any()]
+    return times, [recording.tracks[i] for i in kept], [pieces[i] for i in kept]
+
+
+def _check_size(name: str, steps: int, columns: int) -> None:
+    if steps * columns > MAX_CELLS:
+        raise ValueError(
+            f"{name}: {steps} instants x {columns} columns to sample; at most {MAX_CELLS} in all are possible: "
+            "cut the recording in time, choose a longer tau_s, or look for wrong times in it"
+        )
+
+
+def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> _Piece:
+    fixes, last = track.times_s, len(track.times_s) - 1
+    # What a clock of this magnitude can resolve: 3 * 0.1 is not 0.3, and Unix time is known to 0.2 us.
+    tolerance = 1e-6 * tau_s + 4 * np.spacing(np.abs(times[[0, -1]]).max())
+    first = int(np.searchsorted(times, fixes[0] - tolerance, "left"))
+    stop = int(np.searchsorted(times, fixes[-1] + tolerance, "right"))
+    instants = np.clip(times[first:stop], fixes[0], fixes[-1])
+    after = np.clip(np.searchsorted(fixes, instants, "right"), min(1, last), last)
+    before = np.maximum(after - 1, 0)
+    gap = fixes[after] - fixes[before]
+    fraction = (instants - fixes[before]) / np.where(gap > 0, gap, 1.0)
+    bridged = gap <= max_gap_s + tolerance
+    on_fix = np.minimum(instants - fixes[before], fixes[after] - instants) <= tolerance
+    fraction = np.where(bridged, fraction, np.round(fraction))[:, None]
+    start, end = track.positions_m[before], track.positions_m[after]
+    return _Piece(first, bridged | on_fix, start + fraction * (end - start))
+
+
+def _pack(
+    name: str, pieces: Sequence[_Piece], times: np.ndarray, dimension: int, ids: tuple[str, ...], dropped: int
+) -> Slots:
+    lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
+    column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
+    _check_size(name, len(times), columns)
+    present = np.zeros((len(times), columns), dtype=bool)
+    index = np.full((len(times), columns), -1)
+    positions = np.zeros((len(times), columns, dimension))
+    for i in sorted(range(len(pieces)), key=lambda i: lives[i][0]):
+        piece, column, (first, last) = pieces[i], column_of[i], lives[i]
+        life = slice(first - piece.first, last + 1 - piece.first)
+        if not present[:, column].any():
+            positions[:first, column] = piece.positions_m[life][0]
+        present[first : last + 1, column] = piece.present[life]
+        index[first : last + 1, column] = np.where(piece.present[life], i, -1)
+        positions[first : last + 1, column] = piece.positions_m[life]
+        positions[last + 1 :, column] = positions[last, column]  # until the next track takes the column
+    return Slots(
+        times_s=times,
+        present=present,
+        positions_m=positions,
+        track_index=index,
+        track_ids=ids,
+        dropped=dropped,
+    )
+
+
+def _colour(lives: list[tuple[int, int]]) -> tuple[list[int], int]:
+    """Column of each interval [first, last], and how many columns: the fewest, as starts are in order."""
+    column_of = [0] * len(lives)
+    taken: list[tuple[int, int]] = []  # heap of (last instant, column)
+    columns = 0
+    for i in sorted(range(len(lives)), key=lambda i: lives[i][0]):
+        first, last = lives[i]
+        if taken and taken[0][0] <= first - 2:
+            column = heapq.heappop(taken)[1]
+        else:
+            column, columns = columns, columns + 1
+        column_of[i] = column
+        heapq.heappush(taken, (last, column))
+    return column_of, columns

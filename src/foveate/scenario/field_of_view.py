@@ -1,0 +1,179 @@
+"""Fields of view as plain settings, in the body frame: x ahead, y to the left, z up. Lengths [m], angles [deg]."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from foveate.geometry import fov, fov_planar, fov_spatial
+from foveate.io.validate import positive, require
+
+
+def _angle(settings: object, name: str, limit: float, up_to: bool = False) -> None:
+    value = getattr(settings, name)
+    require(0 < value < limit or (up_to and value == limit), name, value, f"expected between 0 and {limit:g}")
+
+
+def _range(near: float, far: float, far_name: str) -> None:
+    require(far > 0, far_name, far, "expected > 0")
+    require(0 <= near < far, "near_m", near, f"expected from 0 to below {far_name} {far}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleView:
+    """A triangle with its apex at the agent, opening ahead: depth along the axis, full angle."""
+
+    shape: Literal["triangle"] = "triangle"
+    depth_m: float = 2.0
+    """From the agent to the far side, along the axis."""
+    angle_deg: float = 120.0
+    """Full angle at the agent, below 180."""
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        positive(self, "depth_m")
+        _angle(self, "angle_deg", 180.0)
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov_planar.triangle(self.depth_m, math.radians(self.angle_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SectorView:
+    """A circular sector with its apex at the agent: radius, full angle."""
+
+    shape: Literal["sector"] = "sector"
+    depth_m: float = 10.0
+    """Radius."""
+    angle_deg: float = 90.0
+    """Full angle, up to 360."""
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        positive(self, "depth_m")
+        _angle(self, "angle_deg", 360.0, up_to=True)
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov_planar.sector(self.depth_m, math.radians(self.angle_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolygonView:
+    """Any convex polygon."""
+
+    shape: Literal["polygon"]
+    vertices_m: tuple[tuple[float, float], ...]
+    """Corners [x, y] of a convex polygon, in order."""
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        fov_planar.polygon(self.vertices_m)
+
+    @property
+    def depth_m(self) -> float:
+        """Largest distance from the agent to a point of the view [m]."""
+        return max(math.hypot(*vertex) for vertex in self.vertices_m)
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov_planar.polygon(self.vertices_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BallView:
+    """A disc (two coordinates of its centre) or ball (three): what a sensor of limited range sees all around."""
+
+    shape: Literal["ball"]
+    radius_m: float
+    """Range of the sensor."""
+    center_m: tuple[float, ...]
+    """Its centre in the body frame."""
+
+    def __post_init__(self) -> None:
+        positive(self, "radius_m")
+        require(len(self.center_m) in (2, 3), "center_m", self.center_m, "expected 2 or 3 numbers")
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return len(self.center_m)
+
+    @property
+    def depth_m(self) -> float:
+        """Largest distance from the agent to a point of the view [m]."""
+        return math.hypot(*self.center_m) + self.radius_m
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov.ball(self.center_m, self.radius_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrustumView:
+    """What a camera looking ahead sees: between two planes, full angles across and up."""
+
+    shape: Literal["frustum"]
+    near_m: float = 0.3
+    """Nearest plane."""
+    depth_m: float = 6.0
+    """Farthest plane."""
+    width_deg: float = 90.0
+    """Full angle across."""
+    height_deg: float = 60.0
+    """Full angle up and down."""
+    dimension: ClassVar[int] = 3
+
+    def __post_init__(self) -> None:
+        _range(self.near_m, self.depth_m, "depth_m")
+        _angle(self, "width_deg", 180.0)
+        _angle(self, "height_deg", 180.0)
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov_spatial.frustum(
+            self.near_m, self.depth_m, math.radians(self.width_deg), math.radians(self.height_deg)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConeView:
+    """A cone ahead between two slant ranges, full angle: a radar, a lidar, a searchlight."""
+
+    shape: Literal["cone"]
+    near_m: float = 0.0
+    """Nearest slant range."""
+    depth_m: float = 6.0
+    """Farthest slant range."""
+    angle_deg: float = 60.0
+    """Full angle, up to 360."""
+    dimension: ClassVar[int] = 3
+
+    def __post_init__(self) -> None:
+        _range(self.near_m, self.depth_m, "depth_m")
+        _angle(self, "angle_deg", 360.0, up_to=True)
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov_spatial.cone(self.near_m, self.depth_m, math.radians(self.angle_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrismView:
+    """A shape of the plane without end upwards and downwards: a planar sensor in space."""
+
+    shape: Literal["prism"]
+    base: TriangleView | SectorView | PolygonView
+    dimension: ClassVar[int] = 3
+
+    @property
+    def depth_m(self) -> float:
+        """That of its base [m]."""
+        return self.base.depth_m
+
+    def view(self) -> fov.FieldOfView:
+        """The shape."""
+        return fov_spatial.prism(self.base.view())
+
+
+ViewSettings = TriangleView | SectorView | PolygonView | BallView | FrustumView | ConeView | PrismView

@@ -1,0 +1,191 @@
+"""Scenes: where agent and targets start and how the targets drift. In memory and in files."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from foveate.geometry.space import Space
+from foveate.io.files import content_digest, read_document, write_document
+from foveate.io.validate import not_negative, require
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSettings:
+    """The distribution that training scenes are drawn from, and what an episode of it is.
+
+    Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` whose half side is
+    `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
+    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
+    [-drift_m_s, drift_m_s] of each axis, one for all targets of a scene (`shared_drift`) or each its own, plus
+    [-jitter_m_s, jitter_m_s] anew at each step, where targets are positions that an input drives (other kinds have no
+    jitter: the drift is their first velocity); `known_drift` says whether the agent is told (the paper: yes), and
+    `process_noise` whether the targets are pushed by N(0, W) as well. With `turnover`, in training, a target that
+    leaves the box is replaced by a new one that enters at the other side.
+    Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at no range ("paper":
+    claims more than it errs), or drawn from the first belief ("consistent").
+    """
+
+    targets_min: int = 3
+    """Fewest targets of a scene."""
+    targets_max: int = 8
+    """Most targets of a scene in training; a policy takes any number."""
+    centre_m: tuple[float, ...] = (0.0, 0.0)
+    half_side_m: tuple[float, ...] = (0.0, 0.0)
+    half_side_per_target_m: float = 2.0
+    agent_spread: float = 1.25
+    agent_test_half_side_m: float = 2.0
+    drift_m_s: tuple[float, ...] = (0.8, 0.8)
+    """Largest drift on each axis."""
+    shared_drift: bool = True
+    known_drift: bool = True
+    process_noise: bool = True
+    turnover: bool = False
+    jitter_m_s: float = 0.5
+    """Largest change of the drift at a step, on each axis."""
+    steps_per_target: int = 3
+    steps: int | None = None
+    initial_error: Literal["paper", "consistent"] = "paper"
+    """How far first means are from the truth."""
+
+    def __post_init__(self) -> None:
+        require(self.targets_min >= 1, "targets_min", self.targets_min, "expected >= 1")
+        right = f"expected >= targets_min {self.targets_min}"
+        require(self.targets_max >= self.targets_min, "targets_max", self.targets_max, right)
+        not_negative(self, "half_side_per_target_m", "agent_spread", "agent_test_half_side_m", "jitter_m_s")
+        require(min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis")
+        require(min(self.drift_m_s, default=-1) >= 0, "drift_m_s", self.drift_m_s, "expected >= 0 per axis")
+        right = "expected one number per axis, as many as half_side_m"
+        for name in ("centre_m", "drift_m_s"):
+            require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
+        smallest = min(self.half_side_m) + self.half_side_per_target_m
+        require(not self.turnover or smallest > 0, "half_side_m", self.half_side_m, "expected > 0 with turnover")
+        require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
+        require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
+
+    def horizon(self, targets: int) -> int:
+        """Steps of an episode with that many targets."""
+        return self.steps if self.steps is not None else self.steps_per_target * max(1, targets)
+
+    @property
+    def mean_horizon(self) -> float:
+        """Steps of an episode in the mean over the scenes that are drawn."""
+        numbers = range(self.targets_min, self.targets_max + 1)
+        return sum(map(self.horizon, numbers)) / len(numbers)
+
+    @property
+    def middle_steps_left(self) -> int:
+        """The steps to the end in the middle of an episode: what a robot without an end tells its policy every time."""
+        return round(self.mean_horizon / 2)
+
+
+VERSION = 1
+
+
+MAX_HORIZON = 100_000
+
+
+MAX_LENGTH = 1e9
+"""Larger lengths [m] have no digits left for the agent's view, in any precision."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One scene as in a scenes file. Lengths in metres, drift in m/s, one row a target."""
+
+    id: str
+    agent: tuple[float, ...]
+    targets: tuple[tuple[float, ...], ...]
+    drift: tuple[tuple[float, ...], ...]
+    horizon: int
+
+    @property
+    def motion(self) -> str:
+        """`unbiased` where every drift is 0, else `biased`."""
+        return "biased" if any(any(row) for row in self.drift) else "unbiased"
+
+
+def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
+    """Write a scenes file."""
+    write_document(path, "scenes", VERSION, {"scenes": [asdict(scene) for scene in scenes]})
+
+
+def scenes_digest(scenes: Sequence[Scene]) -> str:
+    """What tells these scenes from all others."""
+    return content_digest([asdict(scene) for scene in scenes])[:16]
+
+
+def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
+    """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
+    # As they would stand in a file; whoever makes them may have put arrays into them.
+    rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
+    return _scenes(json.loads(rows), "scenes", space, settings)
+
+
+def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
+    """Read a scenes file for an agent that lives in `space`; a missing horizon is the scenario's.
+
+    Raises ValueError in one line that names file, scene, field and what would be right.
+    """
+    data = read_document(path, "scenes", VERSION, "scenes file")
+    if unknown := sorted(set(data) - {"scenes"}):
+        raise ValueError(f"{path}: unknown key {unknown[0]!r}: expected digest, format, scenes, version")
+    return _scenes(data.get("scenes"), f"{path}: scenes", space, settings)
+
+
+def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> list[Scene]:
+    if not isinstance(rows, list) or not rows:
+        raise ValueError(f"{where}: expected a list of at least one scene")
+    scenes = [_scene(row, f"{where}[{i}]", space, settings) for i, row in enumerate(rows)]
+    if twice := [name for name, count in Counter(scene.id for scene in scenes).items() if count > 1]:
+        raise ValueError(f"{where}: id {twice[0]!r} is given twice: expected one scene an id")
+    return scenes
+
+
+def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene:
+    if not isinstance(row, dict):
+        raise ValueError(f"{where}: expected an object with id, agent, targets")
+    known = ("id", "agent", "targets", "drift", "horizon")
+    for name in known[:3]:
+        if name not in row:
+            raise ValueError(f"{where}: no {name!r}: expected id, agent and targets")
+    if unknown := sorted(set(row) - set(known)):
+        raise ValueError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(known)}")
+    if not isinstance(row["id"], str) or not row["id"]:
+        raise ValueError(f"{where}: id = {row['id']!r}: expected a non-empty text")
+    where = f"{where} ({row['id']!r})"
+    agent = _row(row["agent"], f"{where}: agent", None)
+    try:
+        space.from_numbers(agent)
+    except ValueError as error:
+        raise ValueError(f"{where}: agent = {list(agent)}: {error}") from None
+    targets = _rows(row["targets"], f"{where}: targets", space.dimension)
+    drift = ((0.0,) * space.dimension,) * len(targets)
+    if row.get("drift") is not None:
+        drift = _rows(row["drift"], f"{where}: drift", space.dimension)
+    if len(drift) != len(targets):
+        raise ValueError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one a target")
+    horizon = row.get("horizon", settings.horizon(len(targets)))
+    if isinstance(horizon, bool) or not isinstance(horizon, int) or not 1 <= horizon <= MAX_HORIZON:
+        raise ValueError(f"{where}: horizon = {horizon!r}: expected a whole number from 1 to {MAX_HORIZON}")
+    return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon)
+
+
+def _rows(value: Any, where: str, width: int) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(value, list):
+        raise ValueError(f"{where} = {value!r}: expected a list of rows of {width} numbers")
+    return tuple(_row(row, f"{where}[{i}]", width) for i, row in enumerate(value))
+
+
+def _row(value: Any, where: str, width: int | None) -> tuple[float, ...]:
+    fits = isinstance(value, list) and (width is None or len(value) == width)
+    if not fits or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in value):
+        wanted = "" if width is None else f"{width} "
+        raise ValueError(f"{where} = {value!r}: expected {wanted}numbers in a list")
+    if not all(abs(x) <= MAX_LENGTH for x in value):
+        raise ValueError(f"{where} = {value!r}: expected finite numbers up to {MAX_LENGTH:g}")
+    return tuple(float(x) for x in value)

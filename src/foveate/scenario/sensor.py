@@ -1,0 +1,62 @@
+"""Settings of the sensor, and of what changes from step to step."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from foveate.io.validate import Matrix, covariance, matrix, not_negative, positive, require
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorSettings:
+    """Linear measurement z = H y + eta inside the view.
+
+    `std_m` is the noise of a position measurement [m]; `V` overrides it with a full covariance, `H` the measured
+    part of the state. `frame` says in which frame V is given; its standard deviation grows with the range by
+    the factor 1 + range_growth_per_m r. With `absence = "used"` the Kalman filter that really runs also learns from not
+    seeing a target where it looked; left out, only from measurements.
+    """
+
+    std_m: float = 0.2
+    V: Matrix | None = None
+    H: Matrix | None = None
+    frame: Literal["world", "body"] = "world"
+    range_growth_per_m: float = 0.0
+    """0 where noise does not depend on the range."""
+    absence: Literal["used"] | None = None
+    """What the filter makes of not seeing a target; see models/absence.py."""
+
+    def __post_init__(self) -> None:
+        positive(self, "std_m")
+        not_negative(self, "range_growth_per_m")
+        if self.H is not None:
+            matrix(self.H, "H", (None, None))
+        if self.V is not None:
+            covariance(self.V, "V", len(self.V), definite=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduleSettings:
+    """What changes from step to step, over and over: step k takes entry k modulo the length of a list.
+
+    `tau_s`: the length of each step [s], for which motion that knows time (constant velocity, constant acceleration)
+    is discretised anew. `W`, `V`: covariances in place of the targets' process noise and the sensor's noise.
+    What is left empty stays as it is elsewhere in the scenario.
+    """
+
+    tau_s: tuple[float, ...] = ()
+    W: tuple[Matrix, ...] = ()
+    V: tuple[Matrix, ...] = ()
+
+    def __post_init__(self) -> None:
+        require(min(self.tau_s, default=1.0) > 0, "tau_s", self.tau_s, "expected lengths of steps, each > 0")
+        for W in self.W:
+            covariance(W, "W", len(W), definite=False)
+        for V in self.V:
+            covariance(V, "V", len(V), definite=True)
+        lengths = sorted({len(part) for part in (self.tau_s, self.W, self.V) if part})
+        require(len(lengths) <= 1, "tau_s, W, V", lengths, "expected lists of one length")
+
+    @property
+    def length(self) -> int:
+        """Steps after which it begins again; 0 where nothing changes."""
+        return max(len(self.tau_s), len(self.W), len(self.V))

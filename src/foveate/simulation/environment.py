@@ -1,0 +1,138 @@
+"""The step of `rollout` as pure `reset` and `step`, for learners and programs that decide outside of it.
+
+All functions but two are of one environment, to be `vmap`ed; `step_and_reset` steps a batch and starts every episode
+that is over anew (`renew`), so that a program of any length runs at full speed.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from foveate.geometry.linalg import log_det_spd
+from foveate.models.problem import Problem
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import Episode, Observation, Protocol, State, per_target
+from foveate.simulation.step import act, instants, observe, predict, start
+from foveate.types import Action, Count, Key, Scalar
+
+CHUNK = 64
+"""So many episodes are drawn at once where some of a batch are over: what a step costs follows how many are."""
+
+
+class Environment(eqx.Module):
+    """What the agent acts in: the problem, where episodes come from, and the protocol that information grows by.
+
+    Without `noise` an episode is the noise-free one of the paper's training; with it, targets are pushed and measured
+    as in the real world. Raises ValueError for a protocol that asks for truth where there is none.
+    """
+
+    problem: Problem
+    scenes: SceneSettings = eqx.field(static=True)
+    protocol: Protocol = eqx.field(static=True)
+    noise: bool = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if not self.noise and (not self.protocol.levels or self.protocol.at_truth):
+            raise ValueError("noise = False: expected True with a protocol that asks where targets really are")
+
+
+class Moment(eqx.Module):
+    """An environment between two steps: its episode, and its beliefs predicted one step ahead at the pose T_k.
+
+    `score` is the mean log det of the information per target present, now [nat]; `key` makes the next episode.
+    """
+
+    episode: Episode
+    predicted: State
+    score: Scalar
+    key: Key
+
+
+class Transition(eqx.Module):
+    """What a step brought: the growth of the score [nat], whether the episode is over, what is seen after it.
+
+    The rewards of an episode sum to its last score less its first. `state` and `visible`, the beliefs after the update
+    and which targets were really measured, are for pictures.
+    """
+
+    reward: Float[Array, "*b"]
+    done: Bool[Array, "*b"]
+    score: Float[Array, "*b"]
+    observation: Observation
+    state: State
+    visible: Bool[Array, "*b n"]
+
+
+def begin(environment: Environment, episode: Episode, key: Key) -> Moment:
+    """The moment before the first step of an episode."""
+    state = start(environment.problem, episode, environment.protocol)
+    return _moment(environment, episode, state, _score(state, state.present), key)
+
+
+def reset(environment: Environment, key: Key, targets: Count | None = None) -> Moment:
+    """A fresh episode of the training distribution; with `targets` > 0 one of so many."""
+    episode_key, next_key = jax.random.split(key)
+    scenes, noise = environment.scenes, environment.noise
+    episode = training_episode(environment.problem, scenes, episode_key, noise, targets=targets)
+    return begin(environment, episode, next_key)
+
+
+def observation(moment: Moment) -> Observation:
+    """What a policy sees; after the last step it has no meaning, but numbers."""
+    return observe(moment.predicted, _known_input(moment.episode, moment.predicted), moment.episode.horizon)
+
+
+def step(environment: Environment, moment: Moment, action: Action) -> tuple[Moment, Transition]:
+    """One step of `rollout`: move, measure, update, and predict what comes next; done when step == horizon."""
+    episode, predicted = moment.episode, moment.predicted
+    instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
+    state, visible, _ = act(environment.problem, environment.protocol, predicted, instant, action)
+    # A target that has just come could not be measured yet.
+    score = _score(state, state.present & predicted.present)
+    after = _moment(environment, episode, state, score, moment.key)
+    done = state.step >= episode.horizon
+    return after, Transition(score - moment.score, done, score, observation(after), state, visible)
+
+
+def step_and_reset(
+    environment: Environment, moments: Moment, actions: Float[Array, "b m"]
+) -> tuple[Moment, Transition]:
+    """One step of a batch: where an episode is over the next one has begun, and the transition shows its end.
+
+    Every environment draws its episodes from its own key, so that none depends on what the others do.
+    """
+    moments, transition = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
+    return renew(environment, moments, transition.done), transition
+
+
+def renew(
+    environment: Environment, moments: Moment, over: Bool[Array, " b"], targets: Int[Array, " b"] | None = None
+) -> Moment:
+    """The next episode in those of a batch whose episode is over, each from its own key; `targets` as in `reset`."""
+    count = len(over)
+
+    def some(carry):
+        moments, over = carry
+        rows = jnp.nonzero(over, size=min(CHUNK, count), fill_value=count)[0]
+        asked = None if targets is None else targets.at[rows].get(mode="clip")
+        fresh = jax.vmap(reset, (None, 0, 0))(environment, moments.key.at[rows].get(mode="clip"), asked)
+        # Rows beyond the batch fill up the chunk, and are dropped.
+        moments = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), moments, fresh)
+        return moments, over.at[rows].set(False, mode="drop")
+
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), some, (moments, over))[0]
+
+
+def _moment(environment: Environment, episode: Episode, state: State, score: Scalar, key: Key) -> Moment:
+    predicted = predict(environment.problem, state, _known_input(episode, state))
+    return Moment(episode, predicted, score, key)
+
+
+def _known_input(episode: Episode, state: State) -> Float[Array, "n m_y"]:
+    return episode.inputs[jnp.minimum(state.step, len(episode.inputs) - 1)]
+
+
+def _score(state: State, present: Bool[Array, " n"]) -> Scalar:
+    return per_target(jnp.mean(log_det_spd(state.information), axis=0), present)

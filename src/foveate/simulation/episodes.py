@@ -1,0 +1,257 @@
+"""From a scene to an episode: scenes drawn from a distribution, the chance in them, the truth, the first belief."""
+
+import math
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from foveate.models.problem import Problem
+from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.simulation.records import Arrivals, Episode, Truth
+from foveate.types import Count, Key, Pose
+
+
+class Drawn(eqx.Module):
+    """A scene as arrays, padded to a fixed number of targets."""
+
+    pose: Pose
+    position: Float[Array, "n d"]
+    drift: Float[Array, "n d"]
+    present: Bool[Array, " n"]
+    horizon: Count
+
+
+class Noise(eqx.Module):
+    """All chance of one episode: uniform jitter in [-1, 1], and standard normals for the rest."""
+
+    jitter: Float[Array, "K n d"]
+    process: Float[Array, "K n n_y"]
+    measurement: Float[Array, "K n n_z"]
+    first: Float[Array, "n n_y"]
+
+
+def _draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
+    d, most = problem.agent.space.dimension, settings.targets_max
+    return (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
+
+
+def draw_size(settings: SceneSettings, problem: Problem) -> int:
+    """How many random numbers make one scene."""
+    return _size(_draw_shapes(settings, problem))
+
+
+def draw(settings: SceneSettings, problem: Problem, uniform: Float[Array, " size"], test: bool = False) -> Drawn:
+    """The scene of the distribution that `draw_size` numbers, uniform in [-1, 1), make; padded to the most targets."""
+    d, most = problem.agent.space.dimension, settings.targets_max
+    count, yaw, agent, position, drift = _cut(uniform, _draw_shapes(settings, problem))
+
+    numbers = most + 1 - settings.targets_min
+    n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * numbers), numbers - 1).astype(int)
+    centre = jnp.array(settings.centre_m)
+    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * n
+    agent_side = settings.agent_test_half_side_m if test else settings.agent_spread * half_side
+    steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
+    return Drawn(
+        pose=problem.agent.space.upright(centre + agent_side * agent, jnp.pi * yaw),
+        position=centre + half_side * position,
+        drift=jnp.broadcast_to(jnp.array(settings.drift_m_s) * drift, (most, d)),
+        present=jnp.arange(most) < n,
+        horizon=steps,
+    )
+
+
+def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth: bool = True) -> Noise:
+    """The chance of one training episode; where no truth is made of it, the numbers that only a truth needs are 0."""
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    uniform_key, normal_key = jax.random.split(key)
+    shapes = ((targets, n_y), (steps, targets, n_y), (steps, targets, n_z))
+    # Each number of a draw depends on its place alone: the first ones are the same without the rest.
+    normal = jax.random.normal(normal_key, (_size(shapes if with_truth else shapes[:1]),))
+    first, process, measurement = _cut(jnp.pad(normal, (0, _size(shapes) - len(normal))), shapes)
+    jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
+    return Noise(jitter=jitter, process=process, measurement=measurement, first=first)
+
+
+def _size(shapes: Sequence[tuple[int, ...]]) -> int:
+    return sum(math.prod(shape) for shape in shapes)
+
+
+def _cut(flat: Float[Array, " size"], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """One draw cut into arrays: each call of the random generator costs a second of compilation."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = jnp.split(flat, ends[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def episode_of(
+    problem: Problem,
+    settings: SceneSettings,
+    scene: Drawn,
+    noise: Noise,
+    with_truth: bool = True,
+    turnover: bool = False,
+) -> Episode:
+    """A scene and its chance as an episode.
+
+    Targets that are positions only are driven by the known input xi = tau (drift + jitter) [m]; for longer states the
+    drift is the initial velocity and the input is zero. With `turnover` a target that leaves the scene's box is
+    replaced by a new one that enters at the other side: the stationary crowd of a street.
+    """
+    motion, d = problem.motion, problem.agent.space.dimension
+    period = problem.period
+    entry = jnp.arange(len(noise.jitter)) % len(period.tau)
+    first = jax.vmap(motion.state_at)(scene.position)
+    inputs = jnp.zeros((*noise.jitter.shape[:2], motion.input_size))
+    if motion.state_size == d == motion.input_size:
+        inputs = period.tau[entry, None, None] * (scene.drift + settings.jitter_m_s * noise.jitter)
+    elif motion.takes_drift:
+        first = first.at[:, d : 2 * d].add(scene.drift)
+
+    known = inputs if settings.known_drift else jnp.zeros_like(inputs)
+    truth = None
+    if with_truth:
+        roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
+        pushes = noise.process @ roots[entry] * settings.process_noise
+
+        def move(state, step):
+            motion, known_input, push = step
+            after = motion.advance(state, known_input) + push
+            return after, after
+
+        motions = jax.tree.map(lambda part: part[entry], period.motion)
+        states = jnp.concatenate([first[None], jax.lax.scan(move, first, (motions, inputs, pushes))[1]])
+        truth = Truth(state=states, measurement_noise=noise.measurement)
+    error = first_error(problem, settings, noise.first)
+    episode = Episode(
+        pose=scene.pose,
+        mean=first + error,
+        present=scene.present,
+        inputs=known,
+        horizon=scene.horizon,
+        truth=truth,
+    )
+    return _with_turnover(problem, settings, episode, error) if turnover else episode
+
+
+def training_episode(
+    problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False, targets: Count | None = None
+) -> Episode:
+    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected.
+
+    With `targets` > 0 it has so many, of the numbers that the settings allow.
+    """
+    scene_key, noise_key = jax.random.split(key)
+    chance = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max, noise)
+    uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
+    if targets is not None:
+        # The first number says how many targets there are: that of the middle of the share that means so many.
+        share = (targets - scenes.targets_min + 0.5) / (scenes.targets_max + 1 - scenes.targets_min)
+        uniform = uniform.at[0].set(jnp.where(targets > 0, 2.0 * share - 1.0, uniform[0]))
+    scene = draw(scenes, problem, uniform, test)
+    return episode_of(problem, scenes, scene, chance, with_truth=noise, turnover=noise and scenes.turnover)
+
+
+def _with_turnover(
+    problem: Problem, settings: SceneSettings, episode: Episode, error: Float[Array, "n n_y"]
+) -> Episode:
+    """Wrap the truth around the scene's box; a target that wraps is absent for one instant and then a new one."""
+    assert episode.truth is not None, "turnover moves the truth"
+    states, motion = episode.truth.state, problem.motion
+    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * jnp.sum(episode.present)
+    low = jnp.array(settings.centre_m) - half_side
+    laps = jnp.floor((motion.position(states) - low) / (2 * half_side))
+    states = states - jax.vmap(jax.vmap(motion.state_at))(2 * half_side * laps)
+    wraps = jnp.any(laps[1:] != laps[:-1], axis=-1)
+    present = episode.present & ~jnp.concatenate([jnp.zeros_like(wraps[:1]), wraps])
+    return eqx.tree_at(
+        lambda e: (e.truth, e.arrivals),
+        episode,
+        (Truth(states, episode.truth.measurement_noise), Arrivals(present=present, mean=states + error)),
+        is_leaf=lambda x: x is None,
+    )
+
+
+def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]) -> Float[Array, "*b n_y"]:
+    """By how much the first mean is off: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
+    if settings.initial_error == "consistent":
+        return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
+    V, H = problem.period.V[0], problem.sensor.H
+    # z = H y: the least-norm state whose measurement is off by N(0, V).
+    return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
+
+
+def _root(covariance: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
+    """A matrix R with R R^T = covariance, which may be singular."""
+    values, vectors = jnp.linalg.eigh(covariance)
+    return vectors * jnp.sqrt(jnp.maximum(values, 0.0))[..., None, :]
+
+
+def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:
+    """The chance of one episode of a scene, from (seed, scene id, episode) alone: the same for every method.
+
+    Drawn by numpy at the scene's true size, so that neither padding nor precision changes a number.
+    """
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    steps, n = scene.horizon, len(scene.targets)
+    rng = np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode])
+    return {
+        "jitter": rng.uniform(-1.0, 1.0, (steps, n, d)),
+        "process": rng.standard_normal((steps, n, n_y)),
+        "measurement": rng.standard_normal((steps, n, n_z)),
+        "first": rng.standard_normal((n, n_y)),
+    }
+
+
+def scene_episodes(
+    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int, episodes: int
+) -> Episode:
+    """Episodes 0 .. `episodes`-1 of every scene, padded to a common size and stacked, scene by scene.
+
+    Shapes: a leading axis of len(scenes) * episodes; n and K are the largest of any scene (n at least 1).
+    """
+    if not problem.motion.takes_drift and (moving := [scene.id for scene in scenes if scene.motion == "biased"]):
+        raise ValueError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
+    n = max(1, *(len(scene.targets) for scene in scenes))
+    steps = max(scene.horizon for scene in scenes)
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    count = len(scenes) * episodes
+    drawn: dict[str, Any] = {
+        "pose": [],
+        "position": np.zeros((count, n, d)),
+        "drift": np.zeros((count, n, d)),
+        "present": np.zeros((count, n), bool),
+        "horizon": np.zeros(count, int),
+    }
+    noise = {
+        "jitter": np.zeros((count, steps, n, d)),
+        "process": np.zeros((count, steps, n, n_y)),
+        "measurement": np.zeros((count, steps, n, n_z)),
+        "first": np.zeros((count, n, n_y)),
+    }
+    for row in range(count):
+        scene, k = scenes[row // episodes], row % episodes
+        here = len(scene.targets)
+        drawn["pose"].append(problem.agent.space.from_numbers(scene.agent))
+        drawn["position"][row, :here] = np.reshape(scene.targets, (here, d))
+        drawn["drift"][row, :here] = np.reshape(scene.drift, (here, d))
+        drawn["present"][row, :here] = True
+        drawn["horizon"][row] = scene.horizon
+        for name, value in scene_noise(problem, scene, seed, k).items():
+            part = (row, slice(here)) if name == "first" else (row, slice(scene.horizon), slice(here))
+            noise[name][part] = value
+    as_float = {name: jnp.asarray(value, float) for name, value in noise.items()}
+    stacked = {
+        "pose": jnp.stack(drawn["pose"]),
+        "position": jnp.asarray(drawn["position"], float),
+        "drift": jnp.asarray(drawn["drift"], float),
+        "present": jnp.asarray(drawn["present"]),
+        "horizon": jnp.asarray(drawn["horizon"]),
+    }
+    one = jax.vmap(lambda scene, chance: episode_of(problem, settings, Drawn(**scene), Noise(**chance)))
+    return jax.jit(one)(stacked, as_float)

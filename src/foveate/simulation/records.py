@@ -1,0 +1,170 @@
+"""The records that a simulation is made of: the problem, one episode of it, what a policy sees, what happened."""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from foveate.models.sensor import PAPER_SOFTNESS, Softness
+from foveate.types import Action, Count, Key, Pose
+
+
+class Truth(eqx.Module):
+    """What really happens to the targets, whatever the agent does.
+
+    `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance.
+    """
+
+    state: Float[Array, "instants n n_y"]
+    measurement_noise: Float[Array, "K n n_z"]
+
+
+class Arrivals(eqx.Module):
+    """Targets that come and go: who is there at each instant, and the first mean of a belief that begins there."""
+
+    present: Bool[Array, "instants n"]
+    mean: Float[Array, "instants n n_y"]
+
+
+class Episode(eqx.Module):
+    """Everything that is fixed before the agent's first decision; the same for every method.
+
+    Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth`
+    the simulation is the noise-free one of training, in which the mean is never corrected.
+    """
+
+    pose: Pose
+    mean: Float[Array, "n n_y"]
+    present: Bool[Array, " n"]
+    inputs: Float[Array, "K n m_y"]
+    horizon: Count
+    truth: Truth | None = None
+    arrivals: Arrivals | None = None
+
+
+class Observation(eqx.Module):
+    """What a policy decides on at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
+
+    `left` counts the steps of the episode that are left, this one too. `known_input` is xi_k, the input that led to
+    the prediction. Where `present` is false the entry is padding.
+    """
+
+    step: Count
+    left: Count
+    pose: Pose
+    mean: Float[Array, "n n_y"]
+    information: Float[Array, "n n_y n_y"]
+    present: Bool[Array, " n"]
+    known_input: Float[Array, "n m_y"]
+
+
+class Policy(eqx.Module):
+    """Decides where to go next. `memory` is any pytree that a policy wants to keep from one step to the next."""
+
+    def start(self, observation: Observation) -> Any:
+        """The memory before the first decision; `observation` is the first one."""
+        del observation
+        return ()
+
+    @abc.abstractmethod
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """The normalised action in [-1, 1] for every actuated axis, and the memory for the next step."""
+
+
+class Trace(eqx.Module):
+    """What happened in one episode; entries after `horizon` steps are padding.
+
+    `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
+    `refusals` counts the measurements that a gate has refused in a row; None without a gate.
+    """
+
+    pose: Float[Array, "instants ..."]
+    action: Float[Array, "K m"]
+    mean: Float[Array, "instants n n_y"]
+    information: Float[Array, "instants n n_y n_y"]
+    log_det: Float[Array, "K n"]
+    visible: Bool[Array, "K n"]
+    present: Bool[Array, "instants n"]
+    refusals: Int[Array, "K n"] | None = None
+
+
+def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
+    """The mean of `values` over the targets that are present; 0 where none is."""
+    return jnp.sum(jnp.where(present, values, 0.0), axis=-1) / jnp.maximum(jnp.sum(present, axis=-1), 1)
+
+
+class Protocol(NamedTuple):
+    """Where information comes from.
+
+    With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
+    the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
+    training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter; if the
+    sensor's `uses_absence` says so, it learns from looking in vain, too. With a `gate` it refuses measurements whose
+    squared distance to their prediction is above that (see `models.gate`).
+    """
+
+    levels: tuple[Softness, ...]
+    at_truth: bool = False
+    gate: float | None = None
+
+
+SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
+
+
+TRUE = Protocol(levels=())
+
+
+PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
+
+
+class Back(NamedTuple):
+    """How a gradient goes back through the steps of an episode.
+
+    With `segment`, only the states at the beginnings of so many steps at a time are remembered, and a segment is run
+    again when its turn comes: a third more work, far less memory, and the same gradient. With `window`, it goes no
+    further back than to the last step whose number is a multiple of it.
+    """
+
+    segment: int | None = None
+    window: int | None = None
+
+
+WHOLE = Back()
+
+
+class State(eqx.Module):
+    """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one).
+
+    `refusals` counts each target's measurements that were refused in a row; None without a gate.
+    """
+
+    step: Count
+    pose: Pose
+    mean: Float[Array, "n n_y"]
+    information: Float[Array, "levels n n_y n_y"]
+    present: Bool[Array, " n"]
+    refusals: Int[Array, " n"] | None = None
+
+
+class Reality(eqx.Module):
+    """Where the targets really are after a step, and the standard normals of its measurements."""
+
+    state: Float[Array, "n n_y"]
+    noise: Float[Array, "n n_z"]
+
+
+class Arrival(eqx.Module):
+    """Who is there after a step, and the first mean of a belief that begins there."""
+
+    present: Bool[Array, " n"]
+    mean: Float[Array, "n n_y"]
+
+
+class Instant(eqx.Module):
+    """The part of an episode that belongs to one step; None where the episode has no such part."""
+
+    known_input: Float[Array, "n m_y"]
+    reality: Reality | None
+    arrival: Arrival | None

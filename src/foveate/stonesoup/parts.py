@@ -1,0 +1,205 @@
+"""What Stone Soup lacks for a body that turns: a movable with a heading, its commands, a sensor that has a view."""
+
+import datetime
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+from stonesoup.functions import build_rotation_matrix
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.movable import FixedMovable
+from stonesoup.sensor.sensor import SimpleSensor
+from stonesoup.sensormanager.action import Action, ActionGenerator
+from stonesoup.types.array import CovarianceMatrix, StateVector
+from stonesoup.types.state import State
+
+from foveate.geometry.fov import FieldOfView
+from foveate.geometry.space import Space
+from foveate.models.agent import Agent
+
+try:
+    from stonesoup import base
+except ImportError as error:
+    raise ImportError("foveate.stonesoup needs stonesoup: pip install 'foveate[stonesoup]'") from error
+
+
+Property: Any = base.Property
+"""Stone Soup's, which is declared as the type of what it holds."""
+
+
+# Compiled: Stone Soup's managers move and look a thousand times a decision.
+_moved = jax.jit(lambda agent, pose, control, seconds: agent.move(pose, agent.action(control), seconds))
+
+
+_contains = jax.jit(lambda view, space, pose, point_world: view.contains(space.to_body(pose, point_world)))
+
+
+def pose_of(carrier: Any, space: Space) -> Float[np.ndarray, "..."]:
+    """The pose of a movable or a sensor: [x, y, yaw], or the transform from body to world."""
+    position, orientation = np.asarray(carrier.position, float)[:, 0], carrier.orientation
+    if space.dimension == 2:
+        return np.append(position, float(orientation[2, 0]))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = build_rotation_matrix(np.asarray(orientation, float)).T, position
+    return pose
+
+
+class TwistAction(Action):
+    """Keep one command until `end_time`: `target_value` has a number for each actuated axis [m/s, rad/s]."""
+
+    def act(
+        self, current_time: datetime.datetime, timestamp: datetime.datetime, init_value: Any, **kwargs: Any
+    ) -> Float[np.ndarray, "..."]:
+        """The pose to which the command leads from the pose `init_value`."""
+        seconds = (timestamp - current_time).total_seconds()
+        return np.asarray(_moved(self.generator.owner.agent, init_value, self.target_value, seconds), float)
+
+
+class TwistActionGenerator(ActionGenerator):
+    """The commands of a body: all within its limits; iterated, a grid of `resolution` values on each axis."""
+
+    def __contains__(self, item: Any) -> bool:
+        control = np.asarray(item.target_value if isinstance(item, Action) else item, float)
+        lower, upper = self._limits
+        return control.shape == lower.shape and bool(np.all((lower <= control) & (control <= upper)))
+
+    def __iter__(self) -> Iterator[TwistAction]:
+        counts: Any = self.resolution
+        axes = (np.linspace(low, high, count) for low, high, count in zip(*self._limits, counts, strict=True))
+        return (self.action_from_value(np.array(control)) for control in product(*axes))
+
+    def action_from_value(self, value: Float[np.ndarray, " m"]) -> TwistAction:
+        """The action of a command; one beyond the limits is carried out as the nearest within."""
+        return TwistAction(generator=self, end_time=self.end_time, target_value=np.asarray(value, float))
+
+    @property
+    def default_action(self) -> TwistAction:
+        """As still as the limits allow."""
+        return self.action_from_value(np.clip(0.0, *self._limits))
+
+    @property
+    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
+        body: Any = self.owner
+        return np.asarray(body.agent.lower, float), np.asarray(body.agent.upper, float)
+
+
+class BodyMovable(FixedMovable):
+    """A movement controller that carries out commands of a foveate `Agent`: T' = T exp(tau hat(u)), heading included.
+
+    `orientation` is Stone Soup's [roll, pitch, yaw] [rad]. Without a command, and after its end, the body is as still
+    as its limits allow. The velocity that it reports is 0, as any FixedMovable's. Raises ValueError where
+    `position_mapping` has not as many entries as the agent's space dimensions, or `levels` not one number an axis.
+    """
+
+    agent: Agent = Property(doc="Actuated axes and their limits.")
+    levels: Sequence[int] = Property(default=None, doc="Values on each axis that Stone Soup's managers try; 5 each.")
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        axes, d = len(self.agent.axes), self.agent.space.dimension
+        if self.ndim != d:
+            raise ValueError(f"position_mapping = {self.position_mapping}: expected {d} entries, as the agent's space")
+        if self.levels is None:
+            self.levels = (5,) * axes
+        if len(self.levels) != axes:
+            raise ValueError(f"levels = {self.levels}: expected {axes} numbers, one for each actuated axis")
+        self.orientation = StateVector(np.asarray(self.orientation, float).ravel())
+        self._command: Action | None = None
+
+    @property
+    def pose(self) -> Float[np.ndarray, "..."]:
+        """[x, y, yaw], or the transform from body to world."""
+        return pose_of(self, self.agent.space)
+
+    def actions(
+        self, timestamp: datetime.datetime, start_timestamp: datetime.datetime | None = None
+    ) -> set[ActionGenerator]:
+        """The generator of all commands until `timestamp`."""
+        began = self.state.timestamp if start_timestamp is None else start_timestamp
+        times = {"start_time": began, "end_time": timestamp}
+        return {TwistActionGenerator(owner=self, attribute="pose", resolution=self.levels, **times)}
+
+    def add_actions(self, actions: Sequence[Action]) -> bool:
+        """Take the first of the actions as the command."""
+        self._command = actions[0]
+        return True
+
+    def act(self, timestamp: datetime.datetime, **kwargs: Any) -> None:
+        """As `move`."""
+        self.move(timestamp, **kwargs)
+
+    def move(self, timestamp: datetime.datetime, **kwargs: Any) -> None:
+        """Carry out the command up to `timestamp`; at the time that the body has already, do nothing."""
+        now = self.state.timestamp
+        if now is None:
+            self.state.timestamp = timestamp
+        if now is None or timestamp <= now:
+            return
+        pose, command = self.pose, self._command
+        if command is not None and command.end_time > now:
+            until = min(command.end_time, timestamp)
+            pose, now = command.act(now, until, pose), until
+        if now < timestamp:
+            (generator,) = self.actions(timestamp, now)
+            pose, self._command = generator.default_action.act(now, timestamp, pose), None
+        state = State.from_state(self.state, timestamp=timestamp)
+        state.state_vector = state.state_vector.copy()
+        self.states.append(state)
+        if self.agent.space.dimension == 2:
+            self.position, self.orientation = StateVector(pose[:2]), StateVector([0.0, 0.0, pose[2]])
+        else:
+            yaw, dive, roll = Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")
+            self.position, self.orientation = StateVector(pose[:3, 3]), StateVector([roll, -dive, yaw])
+
+
+class ViewSensor(SimpleSensor):
+    """Measures positions with Gaussian noise inside a field of view that its platform carries.
+
+    `view` is a shape of `foveate.geometry`, in the sensor's frame: x ahead, y to the left, z up. With `steers` its
+    actions are those of the movable that carries it, for managers that judge each sensor alone, as Stone Soup's
+    greedy one; such a sensor is given to a manager without its platform, or every command is tried twice.
+    """
+
+    ndim_state: int = Property(doc="Length of a target's state.")
+    position_mapping: Sequence[int] = Property(doc="Where the position stands in a target's state.")
+    noise_covar: CovarianceMatrix = Property(doc="Covariance of a measured position, in the world frame [m^2].")
+    view: FieldOfView = Property(doc="The field of view.")
+    space: Space = Property(doc="The plane, or space.")
+    steers: bool = Property(default=False, doc="Whether it offers the commands of the movable that carries it.")
+
+    @property
+    def measurement_model(self) -> LinearGaussian:
+        """The position, plus noise."""
+        return LinearGaussian(ndim_state=self.ndim_state, mapping=self.position_mapping, noise_covar=self.noise_covar)
+
+    def is_detectable(self, state: State, measurement_model: Any = None) -> bool:
+        """Whether the state's position is in view."""
+        return self._sees(state.state_vector[list(self.position_mapping), :])
+
+    def is_clutter_detectable(self, state: State) -> bool:
+        """Whether a false detection is in view."""
+        return self._sees(state.state_vector)
+
+    def _sees(self, position_world: Any) -> bool:
+        pose = pose_of(self, self.space)
+        return bool(_contains(self.view, self.space, pose, np.asarray(position_world, float)[:, 0]))
+
+    def actions(
+        self, timestamp: datetime.datetime, start_timestamp: datetime.datetime | None = None
+    ) -> set[ActionGenerator]:
+        """Those of the movable that carries it, or none."""
+        return self.movement_controller.actions(timestamp, start_timestamp) if self.steers else set()
+
+    def add_actions(self, actions: Sequence[Action]) -> bool:
+        """Hand a command on to the movable, or take none."""
+        return self.movement_controller.add_actions(actions) if self.steers else super().add_actions(actions)
+
+    def act(self, timestamp: datetime.datetime, **kwargs: Any) -> None:
+        """Move, if it steers."""
+        if self.steers:
+            self.movement_controller.act(timestamp, **kwargs)
+        super().act(timestamp)
