@@ -3,7 +3,6 @@
 import ast
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,7 @@ from foveate.recordings.replay import ReplayRow
 from foveate.scenario.scenes import read_scenes
 
 FORMATS, SOURCE = Path(__file__).parent / "formats", Path(__file__).parents[1] / "src" / "foveate"
-sys.path.append(str(FORMATS))
-from make import NONE, RUNS, TWO, decision  # noqa: E402
+from formats.make import NONE, RUNS, TWO, decision
 
 PAPER = PRESETS["paper"].scenario
 

@@ -97,7 +97,9 @@ def test_no_address_but_this_machine_is_ever_served():
         ("view.py", "probe.bind((HOST, port))"),
         ("view.py", "viser.ViserServer(host=HOST, port=port, label='foveate', verbose=False)"),
     ]
-    assert re.search(r'^HOST = "127\.0\.0\.1"$', (ROOT / "src/foveate/view.py").read_text(), re.MULTILINE)
+    assert re.search(
+        r'^HOST = "127\.0\.0\.1"$', (ROOT / "src/foveate/plotting/live/server.py").read_text(), re.MULTILINE
+    )
 
 
 def test_every_dependency_is_pinned_and_they_are_few():

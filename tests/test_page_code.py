@@ -29,9 +29,9 @@ IDS = [page.name for page in PAGES]
 EPOCHS, EPISODES = 1, 8
 """What a training on a page is cut down to."""
 RUN_ELSEWHERE = {
-    "deploy.md": "tests/test_export.py",
-    "gymnasium.md": "tests/test_gym.py",
-    "stonesoup.md": "tests/test_stonesoup.py",
+    "deploy.md": "tests/deploy/onnx/test_export.py",
+    "gymnasium.md": "tests/gym/test_envs.py",
+    "stonesoup.md": "tests/stonesoup/test_manager.py",
     "README.md": "tests/test_docs.py",
 }
 """Python of these pages is run by the test of what it is about."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_cli import check_contract, failure
+from cli.test_cli import check_contract, failure
 
 from foveate.cli.main import main
 from foveate.evaluation import bounds as closeness

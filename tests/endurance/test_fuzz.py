@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from fuzz import arguments, furnish, fuzz, light, readers, require, run_command
+from endurance.fuzz import arguments, furnish, fuzz, light, readers, require, run_command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,8 +5,8 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fov_cases import CASES, HEPTAGON, INTERSECTIONS, POINTS, STRATUM, answered, cast, distance, gradients
-from fov_oracles import ConvexHull, cone_distance_by_azimuth, halfspace_distance, projection
+from helpers.fov_cases import CASES, HEPTAGON, INTERSECTIONS, POINTS, STRATUM, answered, cast, distance, gradients
+from helpers.fov_oracles import ConvexHull, cone_distance_by_azimuth, halfspace_distance, projection
 
 from foveate.geometry.fov import half_space
 from foveate.geometry.fov_planar import polygon, triangle

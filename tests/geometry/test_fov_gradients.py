@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fov_cases import CASES, EVERY, INTERSECTIONS, answered, cast, distance, gradients
+from helpers.fov_cases import CASES, EVERY, INTERSECTIONS, answered, cast, distance, gradients
 
 from foveate.geometry.fov_planar import ConvexPolygon, triangle, triangle_vertices
 from foveate.geometry.fov_spatial import Cone, Frustum

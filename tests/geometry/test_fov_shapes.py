@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fov_cases import INTERSECTIONS, SHAPES, distance
-from fov_oracles import polyhedron_oracle
+from helpers.fov_cases import INTERSECTIONS, SHAPES, distance
+from helpers.fov_oracles import polyhedron_oracle
 
 from foveate.geometry.fov import ball, half_space
 from foveate.geometry.fov_planar import polygon, sector, triangle

@@ -4,10 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from lie_oracles import (
+from helpers.lie_oracles import (
     AXES,
     FAR_TWISTS,
     NEAR_PI,
@@ -26,6 +23,9 @@ from lie_oracles import (
     second_derivative,
     with_jacobians,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lie_oracles import (
+from helpers.lie_oracles import (
     PLANAR_TWISTS,
     POSES,
     PRECISIONS,

@@ -10,7 +10,6 @@ import json
 import os
 import resource
 import signal
-import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +17,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from endurance.kill import MODEL, TRYING, await_checks, checks, start
 
 import foveate.experiment.checkpoint as checkpoint
 import foveate.io.files as files
@@ -27,9 +27,6 @@ from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, require_f
 from foveate.io.toml import dumps_toml
 from foveate.learning import loop as training
 from foveate.learning.train import train
-
-sys.path.append(str(Path(__file__).parents[1] / "endurance"))
-from kill import MODEL, TRYING, await_checks, checks, start
 
 KILLS = 20
 KINDS = ("write .jsonl", "write .tmp", "fsync", "replace")

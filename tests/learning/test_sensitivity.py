@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from foveate.geometry import fov, fov_spatial, lie
+from foveate.geometry import fov, fov_planar, fov_spatial, lie
 from foveate.geometry.space import SPACES
 from foveate.learning.sensitivity import policy_gradient
 from foveate.models.agent import Agent
@@ -27,7 +27,7 @@ VIEWS = {
     "frustum": fov_spatial.frustum(0.2, 4.0, 1.6, 1.1),
     "cone": fov_spatial.cone(0.1, 3.0, 1.9),
     "ball": fov.ball([1.0, 0.2, -0.1], 2.0),
-    "prism": fov_spatial.prism(fov.triangle(2.0, 2.0)),
+    "prism": fov_spatial.prism(fov_planar.triangle(2.0, 2.0)),
 }
 SMALL = AttentionSettings(agent_widths=(5, 4), target_widths=(6, 4), out_widths=(5,), length_m=2.0)
 LARGER = AttentionSettings(agent_widths=(9,), target_widths=(7, 9), out_widths=(8, 6), alpha=2.0)

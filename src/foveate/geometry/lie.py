@@ -31,6 +31,9 @@ def _apply_transposed(matrix: Float[Array, "*#b i j"], vector: Float[Array, "*#b
     return jnp.sum(matrix * vector[..., :, None], axis=-2)
 
 
+# --- SE(2) ----------------------------------------------------------------------------------------
+
+
 def _rotate(angle: Float[Array, "*#b"], vector: Float[Array, "*#b 2"]) -> Float[Array, "... 2"]:
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = vector[..., 0], vector[..., 1]
@@ -103,6 +106,9 @@ def act_se2(pose: Float[Array, "*#b 3"], point_body: Float[Array, "*#b 2"]) -> F
 def body_point_se2(pose: Float[Array, "*#b 3"], point_world: Float[Array, "*#b 2"]) -> Float[Array, "... 2"]:
     """The body-frame point q = Q T^-1 [zeta; 1] = R(yaw)^T (zeta - position) of a world position zeta."""
     return _rotate(-pose[..., 2], point_world - pose[..., :2])
+
+
+# --- SO(3) ----------------------------------------------------------------------------------------
 
 
 def _matrix(rows: list[list[Float[Array, "*b"]]]) -> Float[Array, "*b i j"]:
@@ -213,6 +219,9 @@ def compose_so3(first: Float[Array, "*#b 3 3"], second: Float[Array, "*#b 3 3"])
 def act_so3(rotation: Float[Array, "*#b 3 3"], point_body: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:
     """The rotated point R q."""
     return _apply(rotation, point_body)
+
+
+# --- SE(3) ----------------------------------------------------------------------------------------
 
 
 def _transform(rotation: Float[Array, "*b 3 3"], position: Float[Array, "*b 3"]) -> Float[Array, "*b 4 4"]:

@@ -3,6 +3,7 @@
 `Scenario` is what the `[scenario]` table of a configuration file holds; `Scenario.problem()` turns it into arrays.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import jax

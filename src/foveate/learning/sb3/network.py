@@ -4,6 +4,9 @@ An observation is one row of numbers: those about the agent, those about each ta
 padding), and last the share of its steps that an episode has left, which only a critic may read.
 """
 
+# Without the extra `ppo` there is no torch to check against.
+# pyright: reportMissingImports=false
+
 import itertools
 from typing import Any, cast
 

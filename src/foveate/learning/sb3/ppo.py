@@ -4,6 +4,9 @@ It learns on the same episodes, from the same numbers, with the same network and
 judged on the same held-out scenes as often, and its best policy is kept in the same run folder, as JAX arrays.
 """
 
+# Without the extra `ppo` there is no torch to check against.
+# pyright: reportMissingImports=false
+
 import math
 import time
 from collections.abc import Callable, Iterator

@@ -1,5 +1,8 @@
 """The batched environment as a `VecEnv` of Stable-Baselines3: one compiled program, no Python object a copy."""
 
+# Without the extra `ppo` there is no Stable-Baselines3 to check against.
+# pyright: reportMissingImports=false
+
 from typing import Any
 
 import jax

@@ -22,7 +22,7 @@ from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "robot_loop.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_loop.py"
 SENSOR = SensorSettings(V=((0.04, 0.01, 0), (0.01, 0.09, 0), (0, 0, 0.02)), frame="body", range_growth_per_m=0.1)
 SPACE = replace(QUADROTOR, sensor=SENSOR)
 PLANE = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5), W=(((0.1, 0), (0, 0.2)), ((0.02, 0), (0, 0.01)))))

@@ -11,7 +11,7 @@ from foveate.geometry.space import SPACES
 from foveate.scenario.scenes import Scene, SceneSettings, read_scenes, write_scenes
 
 PLANAR, SETTINGS = SPACES["planar"], SceneSettings()
-CONTRACT = Path(__file__).parents[2] / "shared" / "tools" / "contract.py"
+CONTRACT = Path(__file__).parents[3] / "shared" / "tools" / "contract.py"
 GOOD = {"id": "a", "agent": [1.0, 2.0, 0.5], "targets": [[1, 2], [3.5, -4]], "drift": [[0.1, 0], [0, 0]], "horizon": 9}
 SCENES = [
     Scene(

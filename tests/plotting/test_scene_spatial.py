@@ -306,7 +306,7 @@ def test_gif_has_its_frames_and_colours(tmp_path):
 
 
 def test_figures_of_space_beside_one_of_the_plane(tmp_path):
-    from test_figures import made_up as planar
+    from plotting.test_figures import made_up as planar
 
     figures.trajectory_figure([made_up(), planar()], tmp_path / "a.png")
     figures.replay_figure({"one": made_up(), "two": made_up(seed=1)}, tmp_path / "b.png")

@@ -25,7 +25,7 @@ from foveate.scenario.target import LinearTarget
 
 EYE = ((1.0, 0.0), (0.0, 1.0))
 REVERSED = LinearTarget(kind="linear", A=EYE, B=EYE, W=EYE, Z=EYE[::-1], prior=EYE)
-PAGE = Path(__file__).parents[1] / "docs" / "gymnasium.md"
+PAGE = Path(__file__).parents[2] / "docs" / "gymnasium.md"
 COUNT = 4
 """As in the page that is run below: what is alike is compiled once."""
 

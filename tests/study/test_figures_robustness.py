@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from test_robustness import MADE_UP, made_up_points
+from study.test_robustness import MADE_UP, made_up_points
 
 from foveate.plotting.scene import new_figure
 from foveate.study import figures_robustness

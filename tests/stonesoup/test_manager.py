@@ -35,7 +35,7 @@ from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import BEST
-from foveate.geometry import fov
+from foveate.geometry import fov_planar
 from foveate.geometry.fov_spatial import frustum
 from foveate.geometry.space import Spatial
 from foveate.models import belief
@@ -43,9 +43,10 @@ from foveate.models.agent import Agent
 from foveate.policies.heuristics import handmade
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
-from foveate.stonesoup.manager import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of, state_order
+from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of
+from foveate.stonesoup.manager import state_order
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "stonesoup.md"
 SOURCE = ROOT / "src" / "foveate"
 EXPERIMENT = runpy.run_path(str(ROOT / "experiments" / "stone_soup.py"))
@@ -277,7 +278,7 @@ def test_the_world_is_taken_over():
     np.testing.assert_allclose(problem.motion.W, np.diag([0.2, 0.05]))
     np.testing.assert_allclose(problem.prior_information, np.diag([1 / 3, 1 / 2]))
     np.testing.assert_allclose(problem.tau, 0.5)
-    assert eqx.tree_equal(problem.sensor.view, fov.sector(7.0, 1.0))
+    assert eqx.tree_equal(problem.sensor.view, fov_planar.sector(7.0, 1.0))
 
 
 def test_order_of_states():
@@ -293,7 +294,7 @@ def test_order_of_states():
 
 def test_another_world_is_warned_of():
     body = body_of(replace_limits(PROBLEM.agent))
-    view = fov.sector(3.0, 1.0)
+    view = fov_planar.sector(3.0, 1.0)
     plain = {"ndim_state": 2, "position_mapping": (0, 1), "noise_covar": 0.04 * np.eye(2)}
     _, platform = mounted(body, view=view, **plain)
     model = CombinedLinearGaussianTransitionModel([RandomWalk(0.05**2)] * 2)

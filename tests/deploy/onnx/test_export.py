@@ -32,7 +32,7 @@ from foveate.simulation.records import Observation
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "deploy.md"
 EXAMPLE = ROOT / "examples" / "run_onnx.py"
 COUNT, MOST = 1000, 64

@@ -10,7 +10,7 @@ from foveate.recordings.motion import MotionStatistics, default_max_gap_s, fit_s
 from foveate.recordings.recording import MAX_CELLS, Recording, Track, resample, resample_slots, slots, window
 
 HEADER = "time_s,track_id,x_m,y_m\n"
-TRACKS = Path(__file__).resolve().parents[1] / ".." / "shared" / "tracks"
+TRACKS = Path(__file__).resolve().parents[2] / ".." / "shared" / "tracks"
 
 
 def track(times, positions, track_id="a") -> Track:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.lines import Line2D
 from PIL import Image
-from test_figures import made_up
+from plotting.test_figures import made_up
 
 from foveate.learning.loop import Check
 from foveate.plotting import scene as drawing

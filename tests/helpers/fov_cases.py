@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import equinox as eqx
-import fov_oracles as oracles
 import jax
 import jax.numpy as jnp
 import numpy as np
+from helpers import fov_oracles as oracles
 
 from foveate.geometry.fov import FieldOfView, ball, half_space
 from foveate.geometry.fov_planar import polygon, sector, triangle

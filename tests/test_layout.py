@@ -1,0 +1,175 @@
+"""The layout of the package: a folder imports only from folders before it in ORDER, and no files import in a circle.
+
+Imports inside functions and under TYPE_CHECKING count. Files and functions stay within the sizes below.
+"""
+
+import ast
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "foveate"
+
+ORDER = [
+    *("types", "errors", "names"),
+    *("io", "geometry"),
+    *("models", "scenario", "simulation"),
+    *("policies", "planning"),
+    *("experiment", "learning"),
+    *("evaluation", "recordings", "plotting", "study"),
+    *("deploy", "bench", "api", "gym", "stonesoup", "cli", "__main__"),
+]
+"""Folders and root modules of the package, from the ground up, a line a storey."""
+ROOT_MODULES = 8
+FILE_LINES, FUNCTION_LINES, NESTED_FUNCTIONS = 250, 50, 2
+
+
+def modules(source: Path) -> dict[str, Path]:
+    """The files of the package by their name within it: "geometry.lie", "geometry.__init__", "__init__"."""
+    return {".".join(path.relative_to(source).with_suffix("").parts): path for path in source.rglob("*.py")}
+
+
+def resolve(name: str, known: dict[str, Path]) -> str:
+    """The module that an import of `name`, within the package, reaches: itself, or what holds it."""
+    while name not in known:
+        package = f"{name}.__init__".lstrip(".")
+        if package in known:
+            return package
+        name = name.rpartition(".")[0]
+    return name
+
+
+def imports(module: str, known: dict[str, Path]) -> set[str]:
+    """The modules of the package that a file imports, at its top or inside of functions."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(known[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = ["foveate", *module.split(".")][: -node.level] if node.level else []
+            base = ".".join([*package, *([node.module] if node.module else [])])
+            names |= {f"{base}.{alias.name}" for alias in node.names}
+    inside = {name.partition(".")[2] for name in names if name.partition(".")[0] == "foveate"}
+    return {resolve(name, known) for name in inside} - {"__init__"}
+
+
+def violations(source: Path, order: list[str]) -> list[str]:
+    """One line for every folder without a place, import that does not lead down, and cycle."""
+    known = modules(source)
+    graph = {module: imports(module, known) for module in sorted(known) if module != "__init__"}
+    folders = {module: module.partition(".")[0] for module in graph}
+    found = [f"{module} has no place in ORDER" for module in graph if folders[module] not in order]
+    for module, targets in graph.items():
+        for target in sorted(targets):
+            here, there = folders[module], folders[target]
+            if here in order and there in order and order.index(there) > order.index(here):
+                found.append(f"{module} imports {target}, which is not below it")
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        found.append(f"cycle: {' -> '.join(error.args[1])}")
+    return found
+
+
+def oversized(source: Path) -> list[str]:
+    """One line for every file and function that is longer, or nested deeper, than the limits."""
+    found = []
+    for name, path in sorted(modules(source).items()):
+        text = path.read_text(encoding="utf-8")
+        if (count := len(text.splitlines())) > FILE_LINES:
+            found.append(f"{name}: {count} lines")
+        found += [f"{name}.{what}" for what in _long_functions(ast.parse(text), 0)]
+    return found
+
+
+def _long_functions(node: ast.AST, depth: int) -> list[str]:
+    found = []
+    for child in ast.iter_child_nodes(node):
+        is_function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
+        if is_function:
+            length = child.end_lineno - child.lineno + 1
+            found += [f"{child.name}: {length} lines"] * (length > FUNCTION_LINES)
+            found += [f"{child.name}: nested {depth + 1} deep"] * (depth + 1 > NESTED_FUNCTIONS)
+        found += _long_functions(child, depth + is_function)
+    return found
+
+
+def test_imports_lead_down() -> None:
+    assert violations(SOURCE, ORDER) == []
+
+
+def test_every_place_in_the_order_exists() -> None:
+    folders = {module.partition(".")[0] for module in modules(SOURCE)} - {"__init__"}
+    assert set(ORDER) == folders
+    assert len(ORDER) == len(set(ORDER))
+
+
+def test_the_root_holds_few_modules() -> None:
+    assert len([path for path in SOURCE.glob("*.py") if path.name != "__init__.py"]) <= ROOT_MODULES
+
+
+def test_files_and_functions_are_short() -> None:
+    assert oversized(SOURCE) == []
+
+
+SAMPLE_ORDER = ["ground", "rooms", "doors"]
+SAMPLE = {
+    "__init__": "",
+    "ground": "import os\nfrom numpy import array\nimport foveatee.doors.main",
+    "rooms.__init__": "",
+    "rooms.one": "from foveate.ground import name\nfrom foveate import __version__",
+    "rooms.two": "from . import one\nfrom ..ground import name",
+    "doors.__init__": "from foveate.doors.a import run",
+    "doors.a": "def run():\n    import foveate.rooms.two as two\n    from foveate.doors import b",
+    "doors.b": "from foveate.rooms import one",
+}
+
+
+def build(folder: Path, changes: dict[str, str]) -> Path:
+    for module, text in {**SAMPLE, **changes}.items():
+        path = folder.joinpath(*module.split(".")).with_suffix(".py")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_a_sound_layout_passes(tmp_path: Path) -> None:
+    sample = build(tmp_path, {"doors.a": "def run():\n    import foveate.rooms.two as two"})
+    assert violations(sample, SAMPLE_ORDER) == []
+    assert oversized(sample) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"ground": "import foveate.rooms.one"}, "ground imports rooms.one, which is not below it"),
+        ({"ground": "from foveate.rooms import one"}, "ground imports rooms.one, which is not below it"),
+        ({"ground": "from foveate.rooms.one import name"}, "ground imports rooms.one, which is not below it"),
+        ({"ground": "def f():\n    from .rooms import one"}, "ground imports rooms.one, which is not below it"),
+        (
+            {"ground": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from foveate.rooms import one"},
+            "ground imports rooms.one, which is not below it",
+        ),
+        ({"rooms.__init__": "from ..doors.a import name"}, "rooms.__init__ imports doors.a, which is not below it"),
+        ({"ground": "import foveate.ground"}, "cycle: ground -> ground"),
+        ({"doors.b": "from . import a"}, "cycle: doors.a -> doors.b -> doors.a"),
+        ({"attic": ""}, "attic has no place in ORDER"),
+        ({"attic.__init__": "", "attic.box": ""}, "attic.box has no place in ORDER"),
+    ],
+)
+def test_an_unsound_layout_is_caught(tmp_path: Path, changes: dict[str, str], complaint: str) -> None:
+    base = {"doors.__init__": ""}
+    assert complaint in violations(build(tmp_path, {**base, **changes}), SAMPLE_ORDER)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("x = 1\n" * (FILE_LINES + 1), f"ground: {FILE_LINES + 1} lines"),
+        ("def f():\n" + "    x = 1\n" * FUNCTION_LINES, f"ground.f: {FUNCTION_LINES + 1} lines"),
+        ("def f():\n def g():\n  def h():\n   pass\n", "ground.h: nested 3 deep"),
+    ],
+)
+def test_oversize_is_caught(tmp_path: Path, text: str, complaint: str) -> None:
+    assert complaint in oversized(build(tmp_path, {"ground": text}))
