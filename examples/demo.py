@@ -25,7 +25,6 @@ from foveate.io.toml import digest
 from foveate.learning.loop import METRICS
 from foveate.learning.train import train_watched
 from foveate.plotting.animation import animate
-from foveate.plotting.episode_data import film
 from foveate.plotting.figures import learning_curve, trajectory_figure
 from foveate.simulation.records import PROTOCOLS
 from foveate.simulation.suites import table1
@@ -61,7 +60,7 @@ def main() -> None:
         scene = suite.scenes[i]
         one = jax.tree.map(lambda x, i=i: x[i], trace)
         title = "biased motion, surrogate score"
-        films.append(film(problem, one, np.asarray(suite.truth.state[i]), scene.horizon, targets, title))
+        films.append(episode_data(problem, one, np.asarray(suite.truth.state[i]), scene.horizon, targets, title))
     trajectory_figure(films, OUT / "trajectories.png")
     learning_curve([OUT / METRICS], OUT / "learning_curve.png")
     animate(films[1], OUT / "episode.gif")

@@ -96,7 +96,7 @@ def main() -> None:
         command = ", ".join(f"{value:+.2f}" for value in np.asarray(problem.agent.control(jnp.asarray(action))))
         told = f"step {step + 1}: command {command}; saw {len(seen.updated)} of {len(tracker.ids)}"
         print(f"{told}, least known to {spread:.2f} m" + f"; dropped {dropped}" * bool(dropped))
-    print(f"{late} of {given.steps} steps were late; {sum(tracker.refused.values())} detections refused")
+    print(f"{late} of {given.steps} steps were late; {sum(tracker.rejected.values())} detections rejected")
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import TRUE, Episode, Policy, State
 from foveate.simulation.step import act, instants, observe, predict, start
 from foveate.simulation.suites import table1
@@ -144,8 +144,11 @@ def main() -> None:
     scenario = replace(scenario, scenes=replace(scenario.scenes, initial_error=given.initial_error))
     problem = scenario.problem()
     suite = prepare(problem, scenario.scenes, table1(problem), given.seed, given.episodes)
-    problems, keys = (problem, replace(problem, sensor=replace(problem.sensor, uses_absence=True))), policy_keys(suite)
-    policies = {name: handmade(name, problem, float(scenario.view.depth_m)) for name in given.method}
+    problems, keys = (
+        (problem, replace(problem, sensor=replace(problem.sensor, uses_missed_detections=True))),
+        policy_keys(suite),
+    )
+    policies = {name: heuristic(name, problem, float(scenario.view.depth_m)) for name in given.method}
     policies |= {str(run): load_run(run)[1] for run in given.run}
     courses = {}
     for name, policy in policies.items():

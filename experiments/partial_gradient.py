@@ -26,7 +26,7 @@ from foveate.experiment.presets import PRESETS
 from foveate.learning.sensitivity import policy_gradient
 from foveate.policies.inputs import Frame
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.planar_in_space import Lifted, lifted_episode, lifted_problem
+from foveate.simulation.planar_in_space import EmbeddedPolicy, embedded_episode, embedded_problem
 from foveate.simulation.records import Policy
 
 PAPER = PRESETS["paper"]
@@ -60,9 +60,10 @@ def gradients(policy: Policy, targets: int, keys: jax.Array) -> jax.Array:
     scenes = replace(PAPER.scenario.scenes, targets_min=targets, targets_max=targets)
 
     def one(key: jax.Array) -> jax.Array:
-        episode = lifted_episode(training_episode(problem, scenes, key, noise=False))
+        episode = embedded_episode(training_episode(problem, scenes, key, noise=False))
         both = [
-            policy_gradient(lifted_problem(problem), Lifted(policy), episode, total=total) for total in (False, True)
+            policy_gradient(embedded_problem(problem), EmbeddedPolicy(policy), episode, total=total)
+            for total in (False, True)
         ]
         return jnp.stack([ravel_pytree(gradient)[0] for _, gradient in both]) / targets
 

@@ -18,7 +18,7 @@ import foveate
 from foveate.cli.main import main
 from foveate.experiment.checkpoint import policy_shape
 from foveate.experiment.presets import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_scenario
-from foveate.experiment.run_folder import Check, Outcome
+from foveate.experiment.run_folder import Outcome, Validation
 from foveate.io.progress import Bar
 from foveate.learning import train as learner
 from foveate.policies.attention import AttentionSettings
@@ -42,7 +42,7 @@ SCENE = foveate.Scene(
     id="two", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-5.0, 2.0)), drift=((0.0, 0.0), (0.1, 0.0)), horizon=4
 )
 CHANCE = {"seed": 3, "episodes": 2}
-CHECK = Check(
+CHECK = Validation(
     epoch=1,
     objective=0.0,
     gradient_norm=1.0,
@@ -158,12 +158,12 @@ ONE = np.eye(2)
         ({"mean": [[1, 2]], "covariance": ONE, "known_input": [[0], [0]]}, r"known_input has shape \(2, 1\)"),
     ],
 )
-def test_a_belief_that_is_none_is_refused(arguments: dict, complaint: str) -> None:
+def test_a_belief_that_is_none_is_rejected(arguments: dict, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         foveate.Belief(**arguments)
 
 
-def test_a_belief_or_pose_of_another_world_is_refused() -> None:
+def test_a_belief_or_pose_of_another_world_is_rejected() -> None:
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=r"mean has shape \(1, 3\): expected \(1, 2\)"):
         policy(foveate.Belief(np.ones((1, 3)), covariance=np.eye(3)), [0, 0, 0])
@@ -183,7 +183,7 @@ def trainer(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
         if not resume:
             untrained(experiment).save(out)
         report(CHECK, 1)
-        return Outcome(epochs=1, best_epoch=1, best_score=0.5, returns=0, stopped="it was enough" * (seed == 9))
+        return Outcome(epochs=1, best_epoch=1, best_score=0.5, rollbacks=0, stopped="it was enough" * (seed == 9))
 
     monkeypatch.setattr(learner, "train", train)
     return asked
@@ -265,7 +265,7 @@ def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ({"scenes": "nowhere.json"}, "nowhere.json: there is no such file"),
     ],
 )
-def test_an_evaluation_that_cannot_be_is_refused(options: dict, complaint: str) -> None:
+def test_an_evaluation_that_cannot_be_is_rejected(options: dict, complaint: str) -> None:
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=complaint):
         foveate.evaluate(policy, **{"scenes": [SCENE], **options})
@@ -273,7 +273,7 @@ def test_an_evaluation_that_cannot_be_is_refused(options: dict, complaint: str) 
         foveate.evaluate(policy.network, [SCENE])
 
 
-def test_a_policy_of_another_kind_of_world_is_refused() -> None:
+def test_a_policy_of_another_kind_of_world_is_rejected() -> None:
     with pytest.raises(ValueError, match="scenario: has 3 dimensions, states of 6 numbers and 4 of a command"):
         foveate.evaluate(untrained(PLANE), scenario=QUADROTOR)
     belief = foveate.Belief([[1e39, 0.0]], covariance=np.eye(2))

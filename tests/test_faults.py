@@ -1,6 +1,6 @@
 """What goes wrong in the world has a defined outcome: outliers, jumps of the clock, targets that flicker, nothing seen.
 
-Numbers that are not finite in training and collapsed policies: learning/test_training.py. Refused measurements:
+Numbers that are not finite in training and collapsed policies: learning/test_training.py. Rejected measurements:
 models/test_gate.py. Files that are cut or damaged: test_formats.py. Killed processes: learning/test_killed.py.
 """
 
@@ -16,7 +16,7 @@ from foveate.experiment.presets import TrainingSettings
 from foveate.learning.policy_gradient import begin, optimizer
 from foveate.models.belief import predict_information
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.recordings.formats import load_recording
 from foveate.recordings.replay import prepare_replay, replay, warnings_for
 from foveate.scenario.field_of_view import SectorView
@@ -43,25 +43,25 @@ def recorded(path, rows):
 
 def driven(recording, **options):
     ready = prepare_replay(WIDE, recording, [0.0, 0.0, 0.0], **options)
-    return replay(ready, "still", handmade("still", ready.problem, 100.0))
+    return replay(ready, "still", heuristic("still", ready.problem, 100.0))
 
 
 def test_outliers_of_100_sigma_in_a_recording_are_refused_and_counted(tmp_path):
     sigma = 0.1 * np.sqrt(2)
     rows = [(0.5 * k, name, 3.0 + 100 * sigma * (k in wild), 1.0) for k in range(41) for name, wild in TRACKS.items()]
     row, trace = driven(recorded(tmp_path / "r.csv", rows))
-    assert row.refused == sum(map(len, TRACKS.values()))
-    assert row.seen_time_fraction == pytest.approx(1 - row.refused / 80)
+    assert row.rejected == sum(map(len, TRACKS.values()))
+    assert row.seen_time_fraction == pytest.approx(1 - row.rejected / 80)
     assert np.abs(trace.mean - [3.0, 1.0]).max(axis=(1, 2))[3:].max() < 1.0
     free, pulled = driven(recorded(tmp_path / "again.csv", rows), gate=None)
-    assert free.refused == 0
+    assert free.rejected == 0
     assert np.abs(pulled.mean - [3.0, 1.0]).max(axis=(1, 2))[3:].max() > 5.0
 
 
 TRACKS = {"a": {10, 20}, "b": {15, 16}}
 
 
-def test_a_clock_that_jumps_ahead_is_warned_of_and_back_is_refused(tmp_path):
+def test_a_clock_that_jumps_ahead_is_warned_of_and_back_is_rejected(tmp_path):
     times = [*np.arange(0, 10, 0.5), *np.arange(3600, 3610, 0.5)]
     recording = recorded(tmp_path / "r.csv", [(t, "a", 1.0, 1.0) for t in times])
     ready = prepare_replay(WIDE, recording, [0.0, 0.0, 0.0])
@@ -109,7 +109,7 @@ def episode_of(steps, positions, truth=None):
 def test_all_targets_unseen_for_ten_thousand_steps():
     """log det falls as a random walk's does, in float32 too."""
     problem = Scenario().problem()
-    still, steps = handmade("still", problem, 2.0), 10_000
+    still, steps = heuristic("still", problem, 2.0), 10_000
     truth = Truth(jnp.full((steps + 1, 2, 2), -50.0), jnp.zeros((steps, 2, 2)))
     episode = episode_of(steps, [[-50.0, -50.0], [-80.0, 0.0]], truth)
     trace = jax.jit(lambda: rollout(problem, still, episode, PROTOCOLS["true"], jax.random.key(0)))()

@@ -1,4 +1,4 @@
-"""What an earlier version wrote is read as it was meant; what was changed since is refused, in a line that names it."""
+"""What an earlier version wrote is read as it was meant; what was changed since is rejected, in a line that names it."""
 
 import ast
 import json
@@ -12,7 +12,7 @@ from foveate.evaluation.summary import read_result
 from foveate.experiment.checkpoint import VERSION, load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
-from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, read_checks
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, read_validations
 from foveate.io.files import read_document
 from foveate.io.npz import load_arrays, save_arrays
 from foveate.io.toml import digest, load_toml, read_toml
@@ -50,7 +50,7 @@ def test_a_run_of_an_earlier_version(name):
     assert facts["seed"] == 1
     expected = json.loads((FORMATS / "decisions.json").read_text())[name]
     np.testing.assert_allclose(decision(FORMATS / name), expected, atol=1e-5)
-    assert [check.epoch for check in read_checks(FORMATS / name / METRICS)] == [2, 4]
+    assert [check.epoch for check in read_validations(FORMATS / name / METRICS)] == [2, 4]
 
 
 def test_a_run_of_before_a_setting_was_there_goes_on_twice(tmp_path):
@@ -101,8 +101,8 @@ def copied(tmp_path):
     return tmp_path / "f"
 
 
-def refused(read, path):
-    """Whether a file is refused in one line that names it, or what it stands beside."""
+def rejected(read, path):
+    """Whether a file is rejected in one line that names it, or what it stands beside."""
     try:
         read(path)
     except ValueError as error:
@@ -114,14 +114,14 @@ def refused(read, path):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_cut_file_is_refused(copied, name):
+def test_a_cut_file_is_rejected(copied, name):
     path, read = copied / name, READERS[name]
-    assert not refused(read, path)
+    assert not rejected(read, path)
     whole = path.read_bytes()
     cuts = {*np.random.default_rng(0).integers(0, len(whole.rstrip()), 12).tolist(), 0, 1, len(whole.rstrip()) - 1}
     for size in cuts:
         path.write_bytes(whole[:size])
-        assert refused(read, path), f"cut to {size} of {len(whole)} bytes"
+        assert rejected(read, path), f"cut to {size} of {len(whole)} bytes"
 
 
 @pytest.mark.parametrize("name", READERS)
@@ -134,7 +134,7 @@ def test_a_flipped_byte_is_refused_or_means_the_same(copied, name):
         flipped = bytearray(whole)
         flipped[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(bytes(flipped))
-        if refused(read, path):
+        if rejected(read, path):
             noticed += 1
         else:
             assert repr(read(path)) == meant, f"byte {place}: {whole[place - 20 : place + 20]!r}"
@@ -152,7 +152,7 @@ def test_what_was_changed_by_hand_can_say_so(copied):
     assert load_toml(Experiment, path).training.epochs == 2000
 
 
-def test_a_version_to_come_is_refused(copied):
+def test_a_version_to_come_is_rejected(copied):
     for name in ("preset-paper.toml", "scenes.json", "evaluation.json"):
         path = copied / name
         path.write_text(path.read_text().replace("version = 1", "version = 2").replace('"version": 1', '"version": 2'))
@@ -165,7 +165,7 @@ def test_a_damaged_line_of_metrics_is_named(copied):
     path = copied / "policy-gradient" / METRICS
     path.write_text(path.read_text()[5:])
     with pytest.raises(ValueError, match="line 1"):
-        read_checks(path)
+        read_validations(path)
 
 
 CODE = {"eval", "exec", "compile", "__import__"}

@@ -128,7 +128,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     )
     monkeypatch.setattr("foveate.experiment.resolve.table1", lambda *given: table1(*given)[:2])
     monkeypatch.setattr("foveate.experiment.resolve.own_suite", lambda *given: own(*given)[:2])
-    monkeypatch.setattr("foveate.experiment.learners.JudgedSettings.held_out", 4)
+    monkeypatch.setattr("foveate.experiment.learners.ValidationSettings.held_out", 4)
     monkeypatch.setattr("foveate.experiment.resolve.TRAINED", tmp_path / "trained")
     monkeypatch.chdir(tmp_path)
     jax.config.update("jax_disable_most_optimizations", True)  # what runs so little need not run fast

@@ -1,7 +1,7 @@
 """Build the documentation: `make docs`. The pages of the repository, the generated ones, and nothing from the network.
 
 The pages are put together in a temporary folder, laid out as in the repository, so that their links hold as they are;
-Zensical makes HTML of them and refuses broken links; formulas become MathML, since no script that draws them may be
+Zensical makes HTML of them and rejects broken links; formulas become MathML, since no script that draws them may be
 loaded; and the result is looked through once more. `site/` is replaced only when all of that went well.
 """
 
@@ -31,7 +31,7 @@ def build(out: Path) -> int:
         zensical = Path(sys.executable).parent / "zensical"
         done = subprocess.run([zensical, "build", "--strict"], cwd=work, capture_output=True, text=True)
         if done.returncode:
-            raise ValueError(f"zensical refuses the pages:\n{done.stdout}{done.stderr}")
+            raise ValueError(f"zensical rejects the pages:\n{done.stdout}{done.stderr}")
         pages = finish(work / "site")
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(work / "site", out)

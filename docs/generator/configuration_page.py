@@ -16,7 +16,7 @@ from foveate.io.toml import dumps_toml
 INTRODUCTION = """# Configuration
 
 Every key of a run's `config.toml`, which `foveate train --config` reads and `foveate fit` writes. All keys have
-defaults but those marked *required*; unknown and mistyped ones are refused in one line that names the key, its value
+defaults but those marked *required*; unknown and mistyped ones are rejected in one line that names the key, its value
 and what would be right. In Python the same records are [`foveate.Experiment`][foveate.Experiment],
 [`foveate.Scenario`][foveate.Scenario] and what they hold, with the same names.
 

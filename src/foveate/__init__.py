@@ -31,7 +31,7 @@ _HOMES = {
     "FixedWing": "scenario.agent",
     "FreeBody": "scenario.agent",
     "FrustumView": "scenario.field_of_view",
-    "handmade": "policies.heuristics",
+    "heuristic": "policies.heuristics",
     "Learned": "study.methods",
     "LinearTarget": "scenario.target",
     "load": "api",

@@ -16,7 +16,7 @@ from foveate.experiment.presets import PRESETS as PRESETS
 from foveate.models.problem import Problem as Problem
 from foveate.planning.shooting import PlanSettings as PlanSettings
 from foveate.policies.attention import AttentionSettings as AttentionSettings
-from foveate.policies.heuristics import handmade as handmade
+from foveate.policies.heuristics import heuristic as heuristic
 from foveate.policies.pointer import PointerSettings as PointerSettings
 from foveate.recordings.formats import load_recording as load_recording
 from foveate.recordings.recording import Recording as Recording

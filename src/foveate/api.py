@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from foveate.deploy.policy import TrainedPolicy
+from foveate.errors import InputError
 from foveate.evaluation.report import Evaluation, evaluate_all
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS, adjusted, for_scenario
@@ -17,7 +18,7 @@ from foveate.io.toml import load_toml
 from foveate.io.validate import seed_number
 from foveate.learning.train import train_watched
 from foveate.models.problem import Problem
-from foveate.policies import heuristics as handmade
+from foveate.policies.heuristics import HEURISTICS
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, checked
 from foveate.simulation.records import Policy
@@ -28,7 +29,7 @@ Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
 Algorithm = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 
 
-METHODS = ("policy", *handmade.METHODS)
+METHODS = ("policy", *HEURISTICS)
 
 
 def load(run: str | Path) -> TrainedPolicy:
@@ -66,7 +67,7 @@ def train(
     """
     seed_number(seed, "seed")
     if resume and out is None:
-        raise ValueError("resume: expected out, the run folder to go on with")
+        raise InputError("resume: expected out, the run folder to go on with")
     experiment = adjusted(_experiment(world, like), algorithm, epochs, episodes, steps)
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -85,7 +86,7 @@ def evaluate(
     scene_seed: int = 2023,
     initial_error: Literal["paper", "consistent"] | None = None,
     scenario: Scenario | None = None,
-    closeness: bool = False,
+    normalised: bool = False,
     progress: bool = True,
 ) -> Evaluation:
     """How well a policy does: its scores, what it saw, its errors, and whether its filter knows them.
@@ -95,7 +96,7 @@ def evaluate(
     `scene_seed`), or a list; by default table1 in the plane, own in space. `method`: "policy", and in its place or
     beside it policies made by hand, "random", "still", "nearest", "uncertain" and "lawnmower", or "all". Every method
     meets the same scenes with the same noise, from `seed`, `episodes` times each. `protocol`, `initial_error`,
-    `closeness`: as `foveate evaluate --help` says. `scenario`: another world than its own.
+    `normalised`: as `foveate evaluate --help` says. `scenario`: another world than its own.
 
     Raises ValueError for what does not fit.
     """
@@ -104,9 +105,9 @@ def evaluate(
     seed_number(seed, "seed")
     seed_number(scene_seed, "scene_seed")
     if episodes < 1:
-        raise ValueError(f"episodes {episodes}: expected >= 1")
+        raise InputError(f"episodes {episodes}: expected >= 1")
     if protocol not in ("surrogate", "true", "both"):
-        raise ValueError(f"protocol {protocol!r}: expected surrogate, true or both")
+        raise InputError(f"protocol {protocol!r}: expected surrogate, true or both")
     experiment = _world_of(policy, scenario)
     experiment = with_initial_error(experiment, initial_error)
     if scenes is None or isinstance(scenes, str | Path):
@@ -124,7 +125,7 @@ def evaluate(
         protocols=("surrogate", "true") if protocol == "both" else (protocol,),
         episodes=episodes,
         seed=seed,
-        closeness=closeness,
+        normalised=normalised,
         quiet=not progress,
     )
 
@@ -138,7 +139,7 @@ def _experiment(world: Scenario | Experiment | str | Path, like: Preset) -> Expe
     if str(world) in PRESETS:
         return PRESETS[str(world)]
     if Path(world).suffix != ".toml":
-        raise ValueError(f"{world}: expected a preset, that is {', '.join(PRESETS)}, or a file that ends in .toml")
+        raise InputError(f"{world}: expected a preset, that is {', '.join(PRESETS)}, or a file that ends in .toml")
     return load_toml(Experiment, world)
 
 
@@ -153,10 +154,10 @@ def _world_of(policy: TrainedPolicy | Policy | str | Path, scenario: Scenario | 
     """The experiment whose world is to be evaluated in."""
     if isinstance(policy, Policy):
         if scenario is None:
-            raise ValueError("scenario: expected the world of a policy that foveate did not train")
+            raise InputError("scenario: expected the world of a policy that foveate did not train")
         return Experiment(scenario=scenario)
     if not isinstance(policy, TrainedPolicy | str | Path):
-        raise ValueError(
+        raise InputError(
             f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.simulation.records.Policy"
         )
     own = policy.experiment if isinstance(policy, TrainedPolicy) else experiment_of(policy)
@@ -164,7 +165,7 @@ def _world_of(policy: TrainedPolicy | Policy | str | Path, scenario: Scenario | 
         return own
     now, new = (_shape_of(world.problem()) for world in (own.scenario, scenario))
     if now != new:
-        raise ValueError(f"scenario: has {new}: expected {now}, as the policy was trained for")
+        raise InputError(f"scenario: has {new}: expected {now}, as the policy was trained for")
     return replace(own, scenario=scenario)
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.bench.timing import Metric, compilations, in_turn, measure_yardsticks, peak_memory_mib, spread, timed
+from foveate.bench.timing import Metric, compilations, in_turn, measure_references, peak_memory_mib, spread, timed
 
 
 def test_spread_is_that_of_the_quartiles():
@@ -50,7 +50,7 @@ def test_compilations_are_counted_and_only_inside():
 
 
 def test_yardsticks_and_memory_are_of_this_machine():
-    found = measure_yardsticks(1)
+    found = measure_references(1)
     assert found["matmul"] > 1e8, "operations a second"
     assert found["python"] > 1e4, "rounds of a loop a second"
     held = np.ones(2**23)  # 64 MiB, written to

@@ -35,7 +35,7 @@ def machine(monkeypatch):
         return [("two things", lambda repeats: told)]
 
     monkeypatch.setattr(benchmarks, "measurements", measurements)
-    monkeypatch.setattr(timing, "measure_yardsticks", lambda repeats: {"matmul": 1.0, "python": 1.0})
+    monkeypatch.setattr(timing, "measure_references", lambda repeats: {"matmul": 1.0, "python": 1.0})
     yield values
     jax.config.update("jax_enable_compilation_cache", kept)
 

@@ -1,4 +1,4 @@
-"""`foveate reproduce` and `evaluate --closeness` as a user meets them, on a suite and a training that take seconds."""
+"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite and a training that take seconds."""
 
 import json
 import math
@@ -9,11 +9,11 @@ import pytest
 from cli.test_cli import check_contract, failure
 
 from foveate.cli.main import main
-from foveate.evaluation import bounds as closeness
+from foveate.evaluation import bounds as normalised_score
 from foveate.experiment.presets import PRESETS
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.simulation.suites import suite
 from foveate.study import publish as publication
 from foveate.study import study
@@ -39,13 +39,13 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         return [s for n, biased in cells for s in suite(TINY.scenario.scenes, problem, seed, n, 2, biased)]
 
     def nearest(world):
-        return handmade("nearest", world.scenario.problem(), 2.0)
+        return heuristic("nearest", world.scenario.problem(), 2.0)
 
     ceiling = Fixed(name="omniscient", family="omniscient", make=nearest)
     methods = (ceiling, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
     monkeypatch.setattr(study, "table1", scenes)
     monkeypatch.setattr(study, "paper_methods", lambda quick: methods)
-    monkeypatch.setattr(closeness, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
+    monkeypatch.setattr(normalised_score, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XLA_FLAGS", "")
 
@@ -79,7 +79,7 @@ def test_reproduce_for_the_true_view(
 ) -> None:
     """Both first errors, the true protocol alone, a world that differs; the contract holds."""
     ceiling, learned = study.paper_methods(True)
-    uncertain = Fixed(name="uncertain", make=lambda world: handmade("uncertain", world.scenario.problem(), 2.0))
+    uncertain = Fixed(name="uncertain", make=lambda world: heuristic("uncertain", world.scenario.problem(), 2.0))
     methods = (ceiling, replace(learned, name=study.TRUE_VIEW), uncertain)
     monkeypatch.setattr(study, "true_view_methods", lambda quick: methods)
     monkeypatch.setattr(study, "FACTORS", tuple(replace(one, values=one.values[1:3]) for one in study.FACTORS))
@@ -121,7 +121,7 @@ def _check_moving_pictures(out: Path, rows: list[dict], monkeypatch: pytest.Monk
     bench = study.bench_of(asked, "paper")
     results = reproduce(asked, out, lambda *_: None, lambda *_: None)
     parts = [part for part in results.parts if part.initial_error == "paper"]
-    lowest = closeness.floors(bench.suite.problem, bench.suite.scenes)
+    lowest = normalised_score.lower_bounds(bench.suite.problem, bench.suite.scenes)
     publication._episodes(asked, bench, out, compare(parts, asked.reference, lowest, 2))
     for motion in ("unbiased", "biased"):
         told = {
@@ -148,7 +148,7 @@ def _check_data(data: dict) -> None:
         assert cell["motion"] in ("unbiased", "biased")
         assert len(cell["ci95"]) == 2
     own = [cell for cell in data["summary"] if cell["method"] == "omniscient"]
-    assert [cell["closeness"] for cell in own] == [1.0] * 4
+    assert [cell["normalised_score"] for cell in own] == [1.0] * 4
     assert {one["method"] for one in data["differences"]} == {"omniscient", "near-uncertain"}
     assert all(one["p"] <= one["p_holm"] <= 1 for one in data["differences"])
     assert [(one["name"], one["seed"], one["epochs"]) for one in data["trainings"]] == [("paper", 0, 2)]
@@ -183,12 +183,12 @@ def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
     row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
     scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
-    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--closeness"]
+    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--normalised_score"]
     assert main(["evaluate", "paper", *arguments, "--json", str(out)]) == 0
     plan = tmp_path / "plan.json"
     options = ["--omniscient", "--starts", "1", "--iterations", "2", "--protocol", "true"]
     assert main(["plan", "--scenes", str(scenes), *options, "--json", str(plan)]) == 0
     ours, best = (json.loads(path.read_text())["summary"][0] for path in (out, plan))
     lowest = -2 * math.log(2 + 0.05**2 * 3)
-    assert ours["closeness"] == pytest.approx((ours["mean"] - lowest) / (best["mean"] - lowest))
+    assert ours["normalised_score"] == pytest.approx((ours["mean"] - lowest) / (best["mean"] - lowest))
     check_contract("evaluate", out)

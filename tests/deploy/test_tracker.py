@@ -120,7 +120,7 @@ def test_what_is_no_pose_and_no_covariance_is_refused_and_changes_nothing():
 
 def test_looking_in_vain_is_what_the_simulation_makes_of_it():
     """A view over half of a belief that is not detected: as sampled, what is outside; a detected one is updated."""
-    problem = Scenario(sensor=SensorSettings(absence="used")).problem()
+    problem = Scenario(sensor=SensorSettings(missed_detections="used")).problem()
     pose, rng = np.array([1.0, -2.0, 0.7]), np.random.default_rng(5)
     tracker = Tracker(problem)
     tracker.add("sought", np.add(pose[:2], [1.4, 1.0]))
@@ -148,12 +148,12 @@ def test_the_gate_refuses_outliers_and_few_honest_detections():
     deviation = np.sqrt(1 + 0.04)
     tracker.ids = tuple(range(count))
     z = rng.normal(0, deviation, (count, 2))
-    refused = tracker.update(np.zeros(3), dict(enumerate(z))).refused
+    rejected = tracker.update(np.zeros(3), dict(enumerate(z))).rejected
     expected = np.flatnonzero((z**2).sum(axis=1) / deviation**2 > chi2.ppf(0.99, 2))
-    assert refused == tuple(expected.tolist())
+    assert rejected == tuple(expected.tolist())
     low, high = binom.interval(1 - 1e-6, count, 0.01)
-    assert low < len(refused) < high
-    assert set(tracker.refused) == set(refused)
+    assert low < len(rejected) < high
+    assert set(tracker.rejected) == set(rejected)
 
 
 @pytest.mark.parametrize("wild", [100 * np.sqrt(2.04), np.nan, np.inf])
@@ -164,8 +164,8 @@ def test_an_outlier_changes_nothing_and_is_counted(wild):
     tracker.predict()
     mean, P = tracker.mean.copy(), tracker.covariance.copy()
     for times in (1, 2):
-        assert tracker.update(np.zeros(3), {"a": [wild, 0.0], "b": [np.nan, 0.0]}).refused == ("a", "b")
-        assert tracker.refused == {"a": times, "b": times}
+        assert tracker.update(np.zeros(3), {"a": [wild, 0.0], "b": [np.nan, 0.0]}).rejected == ("a", "b")
+        assert tracker.rejected == {"a": times, "b": times}
     assert tracker.ids == ("a",)
     assert np.array_equal(tracker.mean, mean)
     assert np.array_equal(tracker.covariance, P)
@@ -247,4 +247,4 @@ def test_the_example_runs(tmp_path):
     lines = done.stdout.splitlines()
     assert len(lines) == 5
     assert lines[3].startswith("step 4: command ")
-    assert lines[4].endswith("0 detections refused")
+    assert lines[4].endswith("0 detections rejected")

@@ -1,7 +1,7 @@
 """Inputs that nobody means well with: `make fuzz`. Recordings, scenes, configurations, arguments of the command line.
 
 Examples of each format are mutated byte by byte; arguments are drawn from the options that there are and from odd
-values. Each input must be taken, or refused in one line: no other exception, not more than SLOWEST_S, no more than a
+values. Each input must be taken, or rejected in one line: no other exception, not more than SLOWEST_S, no more than a
 gibibyte. What breaks that is shown.
 """
 
@@ -87,7 +87,7 @@ HEAVY = (
         "evaluation.prepare",
     ),
     *("replay.prepare_replay", "reproduction.reproduce", "view.serve", "view.record", "benchmarks.measurements"),
-    *("timing.measure_yardsticks", "export.export"),
+    *("timing.measure_references", "export.export"),
 )
 """What a command does once its arguments and files are read: not done here."""
 ODD = (
@@ -227,14 +227,14 @@ def run_command(said: list[str]) -> str:
 
 
 def read(reader: Callable[[Path], object], path: Path) -> str:
-    """How a reader takes a file. Raises AssertionError where its refusal is not one line that names the file."""
+    """How a reader takes a file. Raises AssertionError where its rejection is not one line that names the file."""
     try:
         reader(path)
     except ValueError as error:
         said, kind = str(error), type(error)
         fine = kind is ValueError and len(said.splitlines()) == 1 and str(path) in said
         require(fine, f"not one line that names the file: {kind.__name__}: {said}")
-        return "refused"
+        return "rejected"
     return "taken"
 
 

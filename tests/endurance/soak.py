@@ -2,7 +2,7 @@
 
 100 steps a second: predict, decide, move, detect, update; every few seconds somebody comes and somebody goes, each with
 an id that was never there before. Reported: memory, the time of a decision, whether the beliefs are as sure as they
-say (NEES), refused outliers. Then a live view with tabs of a real browser opened and closed, where there is one.
+say (NEES), rejected outliers. Then a live view with tabs of a real browser opened and closed, where there is one.
 """
 
 import argparse
@@ -38,7 +38,7 @@ WORLD = Scenario(
 
 @dataclass(frozen=True, kw_only=True)
 class Soaked:
-    """What a loop did: times of decisions [s], resident memory [MiB] along the way, NEES, and what was refused."""
+    """What a loop did: times of decisions [s], resident memory [MiB] along the way, NEES, and what was rejected."""
 
     steps: int
     ids: int
@@ -48,7 +48,7 @@ class Soaked:
     nees: float
     nees_band: tuple[float, float]
     outliers: int
-    refused: int
+    rejected: int
     restarts: int
 
     @property
@@ -72,7 +72,7 @@ def soak(seconds: float, seed: int = 0) -> Soaked:
     decide = eqx.filter_jit(lambda seen: problem.agent.control(policy(seen, (), jax.random.key(0))[0]))
     tracker, pose = Tracker(WORLD, forget_after_s=1.0), np.zeros(3)
     alive: dict[int, np.ndarray] = {}
-    born = outliers = refused = restarts = 0
+    born = outliers = rejected = restarts = 0
     times, memory, squares = np.zeros(steps), [], []
     decide(tracker.observation(pose, 10, MOST))
     gc.collect()
@@ -95,8 +95,8 @@ def soak(seconds: float, seed: int = 0) -> Soaked:
                 detections[name] = detections[name] + 100 * 0.25
                 outliers += 1
         seen = tracker.update(pose, detections)
-        refused += len(seen.refused)
-        restarts += sum(name in tracker.refused for name in seen.appeared)
+        rejected += len(seen.rejected)
+        restarts += sum(name in tracker.rejected for name in seen.appeared)
         if k % (5 * RATE_HZ) == 5 * RATE_HZ - 1:
             squares += errors(tracker, alive)
             memory.append(resident_mib())
@@ -111,7 +111,7 @@ def soak(seconds: float, seed: int = 0) -> Soaked:
         nees=float(np.mean(squares)),
         nees_band=(band[0], band[1]),
         outliers=outliers,
-        refused=refused,
+        rejected=rejected,
         restarts=restarts,
     )
 
@@ -135,8 +135,8 @@ def faults(found: Soaked) -> list[str]:
         said.append(f"p99 of a decision is {found.p99_s / found.median_s:.1f} times its median")
     if not found.nees_band[0] <= found.nees <= found.nees_band[1]:
         said.append(f"NEES {found.nees:.3f} is outside of {found.nees_band[0]:.3f} .. {found.nees_band[1]:.3f}")
-    if not found.outliers <= found.refused <= found.outliers + 20 + 2e-4 * found.steps * ALIVE:
-        said.append(f"{found.refused} refused, of {found.outliers} outliers")
+    if not found.outliers <= found.rejected <= found.outliers + 20 + 2e-4 * found.steps * ALIVE:
+        said.append(f"{found.rejected} rejected, of {found.outliers} outliers")
     return said
 
 
@@ -175,7 +175,7 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     found = soak(given.seconds, given.seed)
-    print(f"{found.steps} steps, {found.ids} ids, {found.outliers} outliers, {found.refused} refused", end=", ")
+    print(f"{found.steps} steps, {found.ids} ids, {found.outliers} outliers, {found.rejected} rejected", end=", ")
     print(f"{found.restarts} begun anew")
     print(f"predict and decide: median {1e6 * found.median_s:.0f} us, p99 {1e6 * found.p99_s:.0f} us", end=", ")
     print(f"{found.p99_s / found.median_s:.2f} times the median")

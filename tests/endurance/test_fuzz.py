@@ -48,7 +48,7 @@ def test_two_thousand_inputs():
     assert sum(counts.values()) == 2000
     for kind in ("recording", "scenes", "toml"):
         assert counts[f"{kind} taken"] > 20
-        assert counts[f"{kind} refused"] > 100
+        assert counts[f"{kind} rejected"] > 100
 
 
 @settings(max_examples=50, deadline=None)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from foveate.evaluation import bounds as yardstick
-from foveate.evaluation.bounds import closeness, floor, omniscient, omniscient_rows
+from foveate.evaluation.bounds import floor, normalised_score, omniscient, omniscient_rows
 from foveate.evaluation.evaluate import prepare, rows_of, simulate
 from foveate.evaluation.summary import summarise
 from foveate.planning.shooting import PAPER, PlanSettings
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene
 from foveate.scenario.sensor import ScheduleSettings
@@ -56,9 +56,9 @@ def test_floor_is_the_score_of_one_who_sees_nothing():
     growing = ScheduleSettings(W=(((1.0, 0.0), (0.0, 1.0)), ((3.0, 0.0), (0.0, 3.0))))
     scheduled = replace(SCENARIO, schedule=growing).problem()
     np.testing.assert_allclose(floor(scheduled, [1, 4]), -2 * np.log([2 + 1, 2 + 1 + 3 + 1 + 3]), rtol=1e-12)
-    assert closeness(-1.4, -1.4, 8.0) == 0.0
-    assert closeness(8.0, -1.4, 8.0) == 1.0
-    assert closeness(3.3, -1.4, 8.0) == pytest.approx(0.5)
+    assert normalised_score(-1.4, -1.4, 8.0) == 0.0
+    assert normalised_score(8.0, -1.4, 8.0) == 1.0
+    assert normalised_score(3.3, -1.4, 8.0) == pytest.approx(0.5)
 
 
 def test_rows_are_those_of_an_evaluation(suite, plans):
@@ -79,7 +79,7 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
 
 
 def test_a_policy_does_not_beat_the_omniscient(suite, plans):
-    trace = simulate(suite, handmade("nearest", PROBLEM, 2.0), TRUE, chunk=4)
+    trace = simulate(suite, heuristic("nearest", PROBLEM, 2.0), TRUE, chunk=4)
     scores = [row.score for row in rows_of(suite, "nearest", "true", trace, [0.0] * 4)[:3]]
     assert (plans.score[:3] >= np.array(scores) - 1e-9).all()
     assert (plans.score[:3] > floor(PROBLEM, [5, 3, 5])).all()

@@ -12,7 +12,7 @@ from scipy.stats import chi2, multivariate_normal
 from foveate.evaluation.evaluate import evaluate, prepare, simulate
 from foveate.evaluation.metrics import chi_square_band, longest_run, measures
 from foveate.evaluation.summary import read_result, summarise, write_result
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
@@ -98,7 +98,7 @@ def replace_tau(tau):
 @pytest.fixture(scope="module")
 def rows():
     suite = prepare(PAPER, SceneSettings(), [ALONE, THREE, EMPTY], seed=3, episodes=2)
-    return suite, evaluate(suite, "still", handmade("still", PAPER, 2.0), ("surrogate", "true"))
+    return suite, evaluate(suite, "still", heuristic("still", PAPER, 2.0), ("surrogate", "true"))
 
 
 def test_rows(rows, tmp_path):
@@ -159,7 +159,7 @@ def test_scenes_without_targets_stay_out_of_the_summary(rows):
 def always_seen():
     """Targets that are measured at every step, wherever the agent goes: 400 episodes."""
     suite = prepare(EVERYWHERE.problem(), EVERYWHERE.scenes, [THREE], seed=0, episodes=400)
-    return suite, simulate(suite, handmade("random", suite.problem, 2.0), TRUE)
+    return suite, simulate(suite, heuristic("random", suite.problem, 2.0), TRUE)
 
 
 def test_an_honest_filter_has_an_honest_nees(always_seen):
@@ -179,7 +179,7 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
 def test_every_method_meets_the_same_chance(always_seen):
     """Where all is seen, the belief depends on the chance alone: the same for one who stands still."""
     suite, trace = always_seen
-    other = simulate(suite, handmade("still", suite.problem, 2.0), TRUE)
+    other = simulate(suite, heuristic("still", suite.problem, 2.0), TRUE)
     assert np.abs(other.pose - trace.pose).max() > 1
     np.testing.assert_allclose(other.mean, trace.mean, atol=1e-12)
 
@@ -187,7 +187,7 @@ def test_every_method_meets_the_same_chance(always_seen):
 def test_chance_of_a_method_depends_on_seed_scene_and_episode_alone():
     """Contract: all randomness of an episode is drawn from (seed, scene id, episode); also that of `random`."""
     problem, settings = EVERYWHERE.problem(), EVERYWHERE.scenes
-    policy = handmade("random", problem, 2.0)
+    policy = heuristic("random", problem, 2.0)
     here = simulate(prepare(problem, settings, [THREE], seed=1), policy, TRUE)
     there = simulate(prepare(problem, settings, [replace(THREE, id="other"), THREE], seed=1), policy, TRUE)
     np.testing.assert_array_equal(there.mean[1], here.mean[0])

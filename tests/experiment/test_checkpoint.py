@@ -72,11 +72,11 @@ def test_a_run_folder(tmp_path, policy):
     assert same(back, policy)
     assert facts == {"epoch": 2}
     (tmp_path / BEST).unlink()
-    assert "best.npz" in refusal(lambda: load_run(tmp_path), tmp_path)
-    assert "no such run folder" in refusal(lambda: load_run(tmp_path / "none"), tmp_path)
+    assert "best.npz" in rejection(lambda: load_run(tmp_path), tmp_path)
+    assert "no such run folder" in rejection(lambda: load_run(tmp_path / "none"), tmp_path)
 
 
-def refusal(load, place):
+def rejection(load, place):
     with pytest.raises(ValueError, match=re.escape(str(place))) as caught:
         load()
     assert len(str(caught.value).splitlines()) == 1
@@ -99,44 +99,44 @@ def saved(tmp_path, policy):
 )
 def test_another_network(saved, changes, words):
     other = policy_shape(Experiment(policy=AttentionSettings(**changes)))
-    assert words in refusal(lambda: load_tree(saved, other, "policy"), saved)
+    assert words in rejection(lambda: load_tree(saved, other, "policy"), saved)
 
 
 def test_another_kind(saved, policy):
-    assert "'foveate-training'" in refusal(lambda: load_tree(saved, policy, "training"), saved)
+    assert "'foveate-training'" in rejection(lambda: load_tree(saved, policy, "training"), saved)
 
 
 def test_a_newer_version(saved, policy):
     header, arrays = load_arrays(saved, "policy", VERSION)
     save_arrays(saved, arrays, {**header, "version": VERSION + 1})
-    assert f"version {VERSION + 1}" in refusal(lambda: load_tree(saved, policy, "policy"), saved)
+    assert f"version {VERSION + 1}" in rejection(lambda: load_tree(saved, policy, "policy"), saved)
 
 
 def test_cut_and_damaged_files(saved, policy):
     whole = saved.read_bytes()
     for size in (0, 1, 100, len(whole) // 2, len(whole) - 1):
         saved.write_bytes(whole[:size])
-        refusal(lambda: load_tree(saved, policy, "policy"), saved)
+        rejection(lambda: load_tree(saved, policy, "policy"), saved)
     for place in range(0, len(whole), 97):
         flipped = bytearray(whole)
         flipped[place] ^= 0x10
         saved.write_bytes(bytes(flipped))
-        refused = None
+        rejected = None
         try:
             back, _ = load_tree(saved, policy, "policy")
         except ValueError as error:
-            refused = str(error)
-        if refused is None:
+            rejected = str(error)
+        if rejected is None:
             assert same(back, policy), f"a flipped bit in byte {place} went unnoticed"
         else:
-            assert refused.startswith(str(saved))
-            assert len(refused.splitlines()) == 1
+            assert rejected.startswith(str(saved))
+            assert len(rejected.splitlines()) == 1
 
 
 def test_something_else(tmp_path, policy):
     path = tmp_path / "best.npz"
     path.write_text(json.dumps({"format": "foveate-policy"}))
-    assert "not an .npz" in refusal(lambda: load_tree(path, policy, "policy"), path)
+    assert "not an .npz" in rejection(lambda: load_tree(path, policy, "policy"), path)
 
 
 def test_a_checkpoint_beside_the_settings_of_another_experiment(tmp_path, policy):
@@ -144,4 +144,4 @@ def test_a_checkpoint_beside_the_settings_of_another_experiment(tmp_path, policy
     (tmp_path / BEST).parent.mkdir()
     save_tree(tmp_path / BEST, policy, EXPERIMENT, "policy", {})
     write_config(tmp_path, Experiment(policy=AttentionSettings(frame="world", **WIDTHS)))
-    refusal(lambda: load_run(tmp_path), tmp_path)
+    rejection(lambda: load_run(tmp_path), tmp_path)

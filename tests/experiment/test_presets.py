@@ -41,7 +41,7 @@ def test_the_policy_gradient_refuses_a_network_of_modes(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_two_experiments_at_once_are_refused(tmp_path, capsys):
+def test_two_experiments_at_once_are_rejected(tmp_path, capsys):
     config = tmp_path / "own.toml"
     config.write_text("")
     assert main(["train", "--preset", "best", "--config", str(config), "--out", str(tmp_path / "a")]) == 2

@@ -23,7 +23,7 @@ from foveate.io.files import write_document
 from foveate.io.toml import digest, save_toml
 from foveate.learning.train import train
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.policies.pointer import PointerSettings
 from foveate.recordings.formats import load_recording
 from foveate.recordings.replay import VERSION, prepare_replay, replay, result
@@ -87,7 +87,7 @@ def main() -> None:
 
     world = Experiment()
     problem = world.scenario.problem()
-    still = handmade("still", problem, 2.0)
+    still = heuristic("still", problem, 2.0)
     rows = evaluate(prepare(problem, world.scenario.scenes, [TWO, NONE]), "still", still, ("surrogate", "true"))
     facts = {"run": "paper", "scenes": "scenes.json", "experiment": digest(world), "seed": 0}
     write_result(HERE / "evaluation.json", rows, summarise(rows, 2), facts)

@@ -180,7 +180,7 @@ def test_derivatives_of_products_are_those_of_matmul(shapes):
 
 
 @pytest.mark.parametrize("rows", [2, 4, 7])
-def test_products_of_sizes_that_do_not_fit_are_refused(rows):
+def test_products_of_sizes_that_do_not_fit_are_rejected(rows):
     """Also where shapes are not checked, as they are while tests run: slices would be cut off or repeated."""
     with pytest.raises(ValueError, match="as many columns as rows"):
         inspect.unwrap(multiply)(jnp.ones((2, 3)), jnp.ones((rows, 3)))

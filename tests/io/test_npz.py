@@ -41,8 +41,8 @@ def with_members(path: Path, members: dict[str, bytes], compression: int = zipfi
     return path
 
 
-def refusal(path: Path, kind: str = "policy", newest: int = 2) -> str:
-    """The one line with which a file is refused."""
+def rejection(path: Path, kind: str = "policy", newest: int = 2) -> str:
+    """The one line with which a file is rejected."""
     with pytest.raises(ValueError, match=path.name) as caught:
         load_arrays(path, kind, newest)
     assert len(str(caught.value).splitlines()) == 1
@@ -112,50 +112,50 @@ def test_a_cut_file_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for length in range(2, len(whole)):
         path.write_bytes(whole[:length])
-        assert "is cut short or damaged" in refusal(path)
+        assert "is cut short or damaged" in rejection(path)
 
 
-def test_changed_content_with_right_checksums_is_refused(tmp_path: Path) -> None:
+def test_changed_content_with_right_checksums_is_rejected(tmp_path: Path) -> None:
     path = saved(tmp_path)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     other = dict(members)
     other["weight.npy"] = other["weight.npy"][:-1] + b"\x01"
-    assert "is damaged: its content is not what was written" in refusal(with_members(path, other))
+    assert "is damaged: its content is not what was written" in rejection(with_members(path, other))
     del other["weight.npy"]
-    assert "is damaged" in refusal(with_members(path, other))
+    assert "is damaged" in rejection(with_members(path, other))
     other = {**members, "header.npy": members["header.npy"].replace(b'"body"', b'"bodx"')}
-    assert "is damaged" in refusal(with_members(path, other))
+    assert "is damaged" in rejection(with_members(path, other))
 
 
-def test_another_kind_and_a_newer_version_are_refused(tmp_path: Path) -> None:
+def test_another_kind_and_a_newer_version_are_rejected(tmp_path: Path) -> None:
     path = saved(tmp_path)
-    assert "has the format 'foveate-policy'; wanted 'foveate-scenes'" in refusal(path, kind="scenes")
-    assert "has version 2; this foveate reads 1 to 1" in refusal(path, newest=1)
+    assert "has the format 'foveate-policy'; wanted 'foveate-scenes'" in rejection(path, kind="scenes")
+    assert "has version 2; this foveate reads 1 to 1" in rejection(path, newest=1)
 
 
-def test_missing_and_foreign_files_are_refused(tmp_path: Path) -> None:
-    assert "there is no such file; give the name of a policy file" in refusal(tmp_path / "absent.npz")
-    assert "is a folder" in refusal(tmp_path)
+def test_missing_and_foreign_files_are_rejected(tmp_path: Path) -> None:
+    assert "there is no such file; give the name of a policy file" in rejection(tmp_path / "absent.npz")
+    assert "is a folder" in rejection(tmp_path)
     path = tmp_path / "foreign.npz"
     for content in (b"", b"P", b"time_s,track_id\n", pickle.dumps({})):
         path.write_bytes(content)
-        assert "is not an .npz archive; give a policy file" in refusal(path)
+        assert "is not an .npz archive; give a policy file" in rejection(path)
     np.savez(path, weight=np.ones(3))
-    assert "has no header; give a policy file" in refusal(path)
+    assert "has no header; give a policy file" in rejection(path)
 
 
 @pytest.mark.parametrize("text", [b"[]", b"{", b"\xff", b"null"])
-def test_a_header_that_is_no_table_is_refused(tmp_path: Path, text: bytes) -> None:
+def test_a_header_that_is_no_table_is_rejected(tmp_path: Path, text: bytes) -> None:
     np.savez(tmp_path / "odd.npz", header=np.frombuffer(text, np.uint8))
-    refusal(tmp_path / "odd.npz")
+    rejection(tmp_path / "odd.npz")
 
 
 @pytest.mark.parametrize("version", [0, "2", True, None, 1.0])
-def test_a_version_that_is_no_whole_number_is_refused(tmp_path: Path, version: Any) -> None:
+def test_a_version_that_is_no_whole_number_is_rejected(tmp_path: Path, version: Any) -> None:
     text = f'{{"format": "foveate-policy", "version": {"null" if version is None else repr(version).lower()}}}'
     np.savez(tmp_path / "odd.npz", header=np.frombuffer(text.replace("'", '"').encode(), np.uint8))
-    assert "wanted a whole number from 1 to 2" in refusal(tmp_path / "odd.npz")
+    assert "wanted a whole number from 1 to 2" in rejection(tmp_path / "odd.npz")
     with pytest.raises(ValueError, match="wanted a whole number of 1 or more"):
         save_arrays(tmp_path / "odd.npz", {}, {**HEADER, "version": version})
 
@@ -179,21 +179,21 @@ def test_pickles_are_never_executed(tmp_path: Path) -> None:
     trap[0] = Trap(mark)
     for name in ("weight", "header"):
         np.savez(path, allow_pickle=True, **{name: trap})
-        assert "is cut short or damaged" in refusal(path)
+        assert "is cut short or damaged" in rejection(path)
     with_members(path, {"weight": pickle.dumps(Trap(mark))})
-    assert "strange member 'weight'" in refusal(path)
+    assert "strange member 'weight'" in rejection(path)
     path.write_bytes(pickle.dumps(Trap(mark)))
-    assert "is not an .npz archive" in refusal(path)
+    assert "is not an .npz archive" in rejection(path)
     assert not mark.exists()
 
 
-def test_archives_that_unpack_to_more_than_they_are_are_refused(tmp_path: Path) -> None:
+def test_archives_that_unpack_to_more_than_they_are_are_rejected(tmp_path: Path) -> None:
     zeros = io.BytesIO()
     np.save(zeros, np.zeros(100_000))
     path = with_members(tmp_path / "bomb.npz", {"a.npy": zeros.getvalue()}, zipfile.ZIP_DEFLATED)
-    assert "strange member 'a.npy'" in refusal(path)
+    assert "strange member 'a.npy'" in rejection(path)
     claim = zeros.getvalue()[:128].replace(b"(100000,)", b"(1<<60,)".replace(b"1<<60", b"9" * 6))
-    assert "is cut short or damaged" in refusal(with_members(path, {"a.npy": claim}))
+    assert "is cut short or damaged" in rejection(with_members(path, {"a.npy": claim}))
 
 
 @pytest.mark.parametrize(

@@ -46,15 +46,17 @@ def settings() -> ActorCriticSettings:
 
 def test_density_is_that_of_a_mixture_of_gaussians():
     rng = np.random.default_rng(0)
-    weight, means, spread = rng.normal(size=4), rng.uniform(-1, 1, (4, 2)), 0.3
+    weight, means, action_std = rng.normal(size=4), rng.uniform(-1, 1, (4, 2)), 0.3
     modes = Modes(jnp.asarray(weight), jnp.asarray(means))
     share = np.exp(weight) / np.exp(weight).sum()
     for action in rng.normal(size=(5, 2)):
         density = sum(
-            p * multivariate_normal(m, spread**2 * np.eye(2)).pdf(action) for p, m in zip(share, means, strict=True)
+            p * multivariate_normal(m, action_std**2 * np.eye(2)).pdf(action) for p, m in zip(share, means, strict=True)
         )
-        expected = np.log(density * 2 * np.pi * spread**2)
-        np.testing.assert_allclose(log_density(modes, jnp.asarray(action), jnp.asarray(spread)), expected, rtol=1e-10)
+        expected = np.log(density * 2 * np.pi * action_std**2)
+        np.testing.assert_allclose(
+            log_density(modes, jnp.asarray(action), jnp.asarray(action_std)), expected, rtol=1e-10
+        )
     np.testing.assert_allclose(entropy(modes), -np.sum(share * np.log(share)), rtol=1e-12)
 
 
@@ -119,9 +121,11 @@ def test_loss_is_ppo_s_clipped_one():
     problem = TINY.scenario.problem()
     learner = actor_critic.begin(problem, NETWORK.policy(problem, jax.random.key(0)), settings(), jax.random.key(1))
     episode = training_episode(problem, TINY.scenario.scenes, jax.random.key(2), noise=True)
-    spread, rng = jnp.asarray(0.3), np.random.default_rng(3)
+    action_std, rng = jnp.asarray(0.3), np.random.default_rng(3)
     policy, critic = learner.policy, learner.critic
-    tried = eqx.filter_jit(tries)(problem, policy, episode, PROTOCOLS["true"], "terminal", spread, jax.random.key(5))
+    tried = eqx.filter_jit(tries)(
+        problem, policy, episode, PROTOCOLS["true"], "terminal", action_std, jax.random.key(5)
+    )
     rows = len(tried.reward)
     old = np.asarray(tried.log_density) + rng.normal(0, 0.4, rows)  # as if the policy had moved on since
     advantage, earned, counts = rng.normal(size=rows), rng.normal(size=rows), np.arange(rows) % 3 > 0
@@ -133,7 +137,7 @@ def test_loss_is_ppo_s_clipped_one():
         gain = min(ratio * advantage[i], float(np.clip(ratio, 0.8, 1.2)) * advantage[i])
         choice = float(entropy(jax.tree.map(lambda x, i=i: x[i], modes)))
         total += (float(value[i]) - earned[i]) ** 2 - gain - settings().entropy_weight * choice
-    found = eqx.filter_jit(loss)(policy, critic, batch, spread, settings())
+    found = eqx.filter_jit(loss)(policy, critic, batch, action_std, settings())
     np.testing.assert_allclose(found, total / counts.sum(), rtol=1e-9)
 
 
@@ -146,13 +150,13 @@ def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_e
     problem = TINY.scenario.problem()
     chosen = replace(settings(), protocols=("surrogate", "true"), episodes=12)
     learner = actor_critic.begin(problem, NETWORK.policy(problem, jax.random.key(0)), chosen, jax.random.key(1))
-    spread, key = jnp.asarray(0.3), jax.random.key(6)
-    samples, earned = eqx.filter_jit(gather)(problem, MIXED, chosen, learner, spread, key)
+    action_std, key = jnp.asarray(0.3), jax.random.key(6)
+    samples, earned = eqx.filter_jit(gather)(problem, MIXED, chosen, learner, action_std, key)
     prior = np.linalg.slogdet(np.asarray(problem.prior_information))[1]
 
     def one(scene_key, try_key, name):
         episode = training_episode(problem, MIXED, scene_key, noise=True)
-        return tries(problem, learner.policy, episode, PROTOCOLS[name], "terminal", spread, try_key)
+        return tries(problem, learner.policy, episode, PROTOCOLS[name], "terminal", action_std, try_key)
 
     each, advantage, counts = [], [], []
     for i, name in enumerate(chosen.protocols):
@@ -193,7 +197,7 @@ def test_wrong_settings(tmp_path):
         ({"protocols": ()}, "at least one"),
         ({"protocols": ("true", "true")}, "each once"),
         ({"protocols": ("true", "surrogate"), "episodes": 7}, "multiple"),
-        ({"spread": (0.3, 0.0)}, "spread"),
+        ({"action_std": (0.3, 0.0)}, "action_std"),
         ({"gae_lambda": 1.5}, "gae_lambda"),
         ({"minibatches": 0}, "minibatches"),
     ):

@@ -22,7 +22,7 @@ from foveate.experiment.presets import TrainingSettings
 from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS
 from foveate.io.npz import load_arrays
 from foveate.learning import devices
-from foveate.learning.devices import shared_out
+from foveate.learning.devices import sharded
 from foveate.learning.loop import train
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
@@ -31,7 +31,7 @@ from foveate.scenario.scenes import SceneSettings
 TINY = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4)),
     policy=AttentionSettings(agent_widths=(4,), target_widths=(4,), out_widths=(4,)),
-    training=TrainingSettings(epochs=20, episodes=11, held_out=4, check_every=20, together=2),
+    training=TrainingSettings(epochs=20, episodes=11, held_out=4, check_every=20, micro_batch=2),
 )
 """11 episodes, 2 at once: neither 8 devices nor 2 processes share them evenly."""
 PATIENCE_S = 240
@@ -116,7 +116,7 @@ print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(p
 
 def test_two_devices_of_this_process_learn_what_one_does_bit_for_bit(tmp_path, monkeypatch):
     train(TINY, tmp_path / "two")
-    assert shared_out(TINY.training.episodes, 2).devices == 2
+    assert sharded(TINY.training.episodes, 2).devices == 2
     monkeypatch.setattr(jax, "device_count", lambda: 1)
     train(TINY, tmp_path / "one")
     assert (tmp_path / "two" / BEST).read_bytes() == (tmp_path / "one" / BEST).read_bytes()
@@ -142,16 +142,16 @@ def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
 def test_a_batch_is_shared_out_evenly(monkeypatch):
     """On cores by micro-batches of one size, whatever there are of the former; on other devices by these."""
     monkeypatch.setattr(jax, "device_count", lambda: 8)
-    assert shared_out(60, 32) == (2, 1, 30)
-    assert shared_out(1024, 32) == (8, 4, 32)
+    assert sharded(60, 32) == (2, 1, 30)
+    assert sharded(1024, 32) == (8, 4, 32)
     monkeypatch.setattr(jax, "device_count", lambda: 3)
-    assert shared_out(1024, 32) == (3, 11, 32)
+    assert sharded(1024, 32) == (3, 11, 32)
     monkeypatch.setattr(jax, "process_count", lambda: 3)
-    assert shared_out(100, 32) == (3, 2, 17)
+    assert sharded(100, 32) == (3, 2, 17)
     monkeypatch.setattr(jax, "process_count", lambda: 1)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(jax, "device_count", lambda: 8)
-    assert shared_out(140_000, 16_384) == (8, 2, 8_750)
+    assert sharded(140_000, 16_384) == (8, 2, 8_750)
 
 
 def test_a_quota_of_cores_counts(monkeypatch, tmp_path):
@@ -209,7 +209,7 @@ def test_who_fails_on_several_devices_is_lost_only_among_several_processes(monke
     def fails(*arguments):
         raise jax.errors.JaxRuntimeError("UNAVAILABLE: gone\nand much more")
 
-    run = devices.on_all(fails, 2)
+    run = devices.on_all_devices(fails, 2)
     with pytest.raises(jax.errors.JaxRuntimeError, match="UNAVAILABLE"):
         run(np.zeros(2))
     monkeypatch.setattr(jax, "process_count", lambda: 2)
@@ -276,6 +276,6 @@ def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
         (["--window", "0", "--epochs", "1"], "window = 0: expected >= 1"),
     ],
 )
-def test_what_cannot_be_is_refused(options, words, capsys, tmp_path):
+def test_what_cannot_be_is_rejected(options, words, capsys, tmp_path):
     assert main(["train", "--out", str(tmp_path / "run"), *options]) == 2
     assert words in capsys.readouterr().err

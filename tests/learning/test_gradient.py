@@ -13,7 +13,7 @@ from foveate.learning.policy_gradient import objective
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.records import Back, Policy
+from foveate.simulation.records import Backpropagation, Policy
 from foveate.simulation.rollout import log_dets
 
 STEPS = 5
@@ -61,7 +61,7 @@ SOFT = TrainingSettings().protocol
 @pytest.mark.parametrize("segment", [2, 9])
 def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
     def last(w):
-        return jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY, Back(segment=segment))[-1])
+        return jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY, Backpropagation(segment=segment))[-1])
 
     value, gradient = jax.jit(jax.value_and_grad(last))(WEIGHTS)
     assert value == pytest.approx(float(jnp.mean(log_dets(PROBLEM, Changing(WEIGHTS), EPISODE, SOFT, KEY)[-1])), 1e-12)
@@ -94,7 +94,7 @@ def test_a_window_that_holds_all_changes_nothing(plain):
 
 
 def test_how_it_goes_back_is_checked():
-    for name in ("together", "segment", "window"):
+    for name in ("micro_batch", "segment", "window"):
         with pytest.raises(ValueError, match=f"{name} = 0: expected >= 1"):
             TrainingSettings(**{name: 0})
-    assert eqx.tree_equal(TrainingSettings(segment=3, window=6).back, Back(segment=3, window=6))
+    assert eqx.tree_equal(TrainingSettings(segment=3, window=6).back, Backpropagation(segment=3, window=6))

@@ -127,7 +127,7 @@ def arrays(path):
         return {name: found[name].tobytes() for name in found.files if name != "header"}
 
 
-def told(run):
+def policy_features(run):
     lines = [json.loads(line) for line in (run / METRICS).read_text().splitlines()]
     return [{k: v for k, v in line.items() if k not in ("elapsed_s", "epochs_per_s")} for line in lines]
 
@@ -160,7 +160,7 @@ def same_runs(one, other):
     for path in (CONFIG, BEST):
         assert (one / path).read_bytes() == (other / path).read_bytes()
     assert arrays(one / LAST) == arrays(other / LAST)
-    assert told(one) == told(other)
+    assert policy_features(one) == policy_features(other)
     assert not list(one.rglob("*.tmp")), "nothing lies about"
 
 

@@ -15,7 +15,7 @@ from foveate.experiment.presets import TrainingSettings
 from foveate.experiment.run_folder import BEST, LAST, METRICS
 from foveate.learning import loop as training
 from foveate.learning.learner import Learner, Report
-from foveate.learning.loop import COLLAPSED_CHECKS, RETURNS, Progress, train
+from foveate.learning.loop import COLLAPSED_VALIDATIONS, ROLLBACKS, Progress, train
 from foveate.learning.policy_gradient import begin
 from foveate.learning.validation import judge
 from foveate.policies.attention import AttentionSettings
@@ -98,7 +98,7 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
         train(other, tmp_path / "b", seed=3, resume=True)
     with pytest.raises(ValueError, match="exists already"):
         train(TINY, tmp_path / "b", seed=3)
-    assert (tmp_path / "b" / BEST).read_bytes() == before, "a refused run folder is left as it was"
+    assert (tmp_path / "b" / BEST).read_bytes() == before, "a rejected run folder is left as it was"
     resumed = train(TINY, tmp_path / "b", seed=3, resume=True)
     assert resumed == outcome
     assert (tmp_path / "b" / BEST).read_bytes() == (run / BEST).read_bytes()
@@ -153,8 +153,8 @@ def learner(weight, epoch):
     return Learner(made.policy, made.optimizer, jnp.array(epoch))
 
 
-def progress(best=1.0, best_epoch=10, below=0, returns=0):
-    counts = (jnp.array(x) for x in (best_epoch, below, returns))
+def progress(best=1.0, best_epoch=10, below=0, rollbacks=0):
+    counts = (jnp.array(x) for x in (best_epoch, below, rollbacks))
     return Progress(learner(0.2, 20), learner(0.1, best_epoch), jnp.array(float(best)), *counts)
 
 
@@ -180,27 +180,27 @@ def test_next_returns_to_the_best_from_the_limits():
         after, event, stop = training._next(progress(), learner(9.0, 30), score, 0.95, True, TINY.training)
         assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
         assert int(after.learner.epoch) == 30, "the way back is walked on other scenes"
-        assert (int(after.best_epoch), int(after.returns), stop) == (10, 1, "")
+        assert (int(after.best_epoch), int(after.rollbacks), stop) == (10, 1, "")
         assert "95% of commands at a limit" in event
         assert "epoch 10" in event
 
 
 def test_next_returns_after_many_checks_far_below_the_best():
     now, events = progress(best=3.0), []
-    for k in range(COLLAPSED_CHECKS):
+    for k in range(COLLAPSED_VALIDATIONS):
         now, event, stop = training._next(now, learner(0.5, 30 + k), 1.9, 0.0, True, TINY.training)
         events.append(bool(event))
         assert stop == ""
-    assert events == [False] * (COLLAPSED_CHECKS - 1) + [True]
+    assert events == [False] * (COLLAPSED_VALIDATIONS - 1) + [True]
     assert weight(now.learner) == 0.1
-    assert (int(now.below), int(now.returns)) == (0, 1)
-    now = progress(best=3.0, below=COLLAPSED_CHECKS - 1)
+    assert (int(now.below), int(now.rollbacks)) == (0, 1)
+    now = progress(best=3.0, below=COLLAPSED_VALIDATIONS - 1)
     after, event, _ = training._next(now, learner(0.5, 30), 2.1, 0.0, True, TINY.training)
     assert (int(after.below), event) == (0, ""), "one check that is not far below ends the row"
 
 
 def test_next_gives_up_after_some_returns_and_before_anything_was_learned_goes_on():
-    _, event, stop = training._next(progress(returns=RETURNS), learner(9.0, 30), 0.0, 1.0, True, TINY.training)
+    _, event, stop = training._next(progress(rollbacks=ROLLBACKS), learner(9.0, 30), 0.0, 1.0, True, TINY.training)
     assert event
     assert "collapsed" in stop
     after, event, stop = training._next(
@@ -279,7 +279,7 @@ def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
     outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
     assert [bool(check.event) for check in checks] == [False, True, False, False]
     assert [check.epoch for check in checks] == [10, 20, 30, 40]
-    assert (outcome.returns, outcome.best_epoch, outcome.best_score) == (1, 30, 2.5)
+    assert (outcome.rollbacks, outcome.best_epoch, outcome.best_score) == (1, 30, 2.5)
     assert best_weight(tmp_path / "r") == 3.0
     assert not jnp.array_equal(*map(jax.random.key_data, (keys["training"], keys["held_out"]))), "held out is held out"
 

@@ -19,7 +19,7 @@ from foveate.models.target import LinearGaussian
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.heuristics import Lawnmower
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.planar_in_space import Lifted, lifted_episode, lifted_problem
+from foveate.simulation.planar_in_space import EmbeddedPolicy, embedded_episode, embedded_problem
 from foveate.simulation.records import Episode, Protocol
 from foveate.simulation.rollout import log_dets
 
@@ -126,7 +126,7 @@ def test_the_paper_s_planar_policy_through_the_lift():
         inputs=jnp.asarray(rng.normal(size=(4, 3, 2))),
         horizon=jnp.asarray(4),
     )
-    score, gradient = policy_gradient(lifted_problem(problem), Lifted(policy), lifted_episode(episode))
+    score, gradient = policy_gradient(embedded_problem(problem), EmbeddedPolicy(policy), embedded_episode(episode))
     value, reverse = eqx.filter_value_and_grad(lambda p: objective(problem, p, episode))(policy)
     np.testing.assert_allclose(score, value, rtol=1e-12)
     np.testing.assert_allclose(flat(gradient), flat(reverse), rtol=0, atol=1e-9 * np.linalg.norm(flat(reverse)))

@@ -1,4 +1,4 @@
-"""The gate against scipy's Gaussian and filterpy; what it refuses, and when it gives in."""
+"""The gate against scipy's Gaussian and filterpy; what it rejects, and when it gives in."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from foveate.deploy.tracker import Tracker
 from foveate.models.belief import Belief
 from foveate.models.gate import GATE, RESTART_AFTER, gate_limit, one_point, squared_distance
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import TRUE, Episode, Truth
@@ -63,27 +63,27 @@ def drive(steps, wild, gate=LIMIT):
         horizon=jnp.asarray(steps),
         truth=Truth(jnp.asarray(state), jnp.asarray(noise)),
     )
-    still = handmade("still", problem, 2.0)
+    still = heuristic("still", problem, 2.0)
     run = jax.jit(lambda: rollout(problem, still, episode, TRUE._replace(gate=gate), jax.random.key(0)))
     return jax.tree.map(np.asarray, run())
 
 
 def test_an_outlier_of_100_sigma_is_refused_and_moves_nothing():
     clean, disturbed, open_to_all = drive(12, {}), drive(12, {6: 100.0}), drive(12, {6: 100.0}, gate=None)
-    assert disturbed.refusals[:, 0].tolist() == [0] * 6 + [1] + [0] * 5
+    assert disturbed.rejections[:, 0].tolist() == [0] * 6 + [1] + [0] * 5
     assert disturbed.visible[:, 0].tolist() == [True] * 6 + [False] + [True] * 5
     np.testing.assert_array_equal(disturbed.mean[:7], clean.mean[:7])
     np.testing.assert_array_equal(disturbed.mean[7], clean.mean[6], "only predicted, and nothing pushes it")
     assert np.abs(disturbed.mean[7:]).max() < 0.5
     assert np.abs(open_to_all.mean[7]).max() > 5.0, "without the gate it would have been pulled away"
-    assert open_to_all.refusals is None
+    assert open_to_all.rejections is None
     np.testing.assert_array_equal(clean.mean, drive(12, {}, gate=None).mean, "an honest measurement is as it was")
 
 
 def test_a_target_that_has_really_jumped_begins_anew():
     jump = dict.fromkeys(range(6, 16), 100.0)
     trace = drive(16, jump)
-    assert trace.refusals[6:12, 0].tolist() == [1, 2, 3, 4, 0, 0]
+    assert trace.rejections[6:12, 0].tolist() == [1, 2, 3, 4, 0, 0]
     assert RESTART_AFTER == 5
     assert trace.visible[6:12, 0].tolist() == [False] * 4 + [True] * 2
     np.testing.assert_allclose(trace.mean[11:, 0], [[100.0, 0.0]] * 6, atol=1.0)
@@ -99,10 +99,10 @@ def test_the_tracker_does_the_same():
     for _ in range(RESTART_AFTER):
         tracker.predict()
         seen.append(tracker.update(np.zeros(3), {"a": [100.0, 0.0], "b": [1.0, 0.0]}))
-    assert [one.refused for one in seen] == [("a",)] * 4 + [()]
+    assert [one.rejected for one in seen] == [("a",)] * 4 + [()]
     assert seen[-1].appeared == ("a",)
     assert tracker.ids == ("a", "b")
-    assert tracker.refused == {"a": 4}
+    assert tracker.rejected == {"a": 4}
     np.testing.assert_allclose(tracker.mean[0], [100.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(tracker.covariance[0], WORLD.problem().sensor.V, rtol=1e-6)
     assert tracker.unseen_s.tolist() == [0.0, 0.0]

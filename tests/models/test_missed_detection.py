@@ -10,8 +10,8 @@ from scipy.stats import norm, truncnorm
 from foveate.evaluation.evaluate import prepare, simulate
 from foveate.evaluation.metrics import chi_square_band
 from foveate.models.belief import Belief
-from foveate.models.missed_detection import given_unseen, standard_points
-from foveate.policies.heuristics import handmade
+from foveate.models.missed_detection import given_missed_detection, standard_points
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -43,7 +43,7 @@ def test_what_is_left_is_honest_however_little_it_is(share):
     belief, found = gaussian([0.0, 0.0], np.eye(2)), []
     for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False):
         along = np.array([np.cos(angle), np.sin(angle)])
-        left = given_unseen(belief, jnp.eye(2), lambda points, along=along: points @ along < norm.isf(share))
+        left = given_missed_detection(belief, jnp.eye(2), lambda points, along=along: points @ along < norm.isf(share))
         error = far.mean() * along - np.asarray(left.mean)
         truth = np.eye(2) + (far.var() - 1) * np.outer(along, along) + np.outer(error, error)
         found.append(np.trace(np.asarray(left.information) @ truth))
@@ -53,7 +53,7 @@ def test_what_is_left_is_honest_however_little_it_is(share):
 
 def test_a_belief_with_next_to_nothing_outside_stays_as_it_is():
     belief = gaussian([0.0, 0.0], np.eye(2))
-    left = given_unseen(belief, jnp.eye(2), lambda points: points[:, 0] < norm.isf(0.01))
+    left = given_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < norm.isf(0.01))
     np.testing.assert_array_equal(left.information, belief.information)
 
 
@@ -61,7 +61,7 @@ def test_a_belief_with_next_to_nothing_outside_stays_as_it_is():
 def test_half_a_plane_in_view_leaves_a_truncated_normal(edge):
     """Everything with x < edge is in view; std 1.5 along x, where mean and variance are scipy's; y stays as it was."""
     belief = gaussian([0.3, -2.0], np.diag([1.5**2, 0.4**2]))
-    left = given_unseen(belief, jnp.eye(2), lambda points: points[:, 0] < edge)
+    left = given_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < edge)
     expected = truncnorm((edge - 0.3) / 1.5, np.inf, loc=0.3, scale=1.5)
     covariance = np.linalg.inv(left.information)
     np.testing.assert_allclose(left.mean, [expected.mean(), -2.0], atol=0.03)
@@ -76,7 +76,7 @@ def test_what_depends_on_the_position_moves_with_it():
     mean, covariance = np.array([0.5, 0.2, 1.0, -1.0]), root @ root.T + 0.1 * np.eye(4)
     samples = rng.multivariate_normal(mean, covariance, 400_000)
     outside = samples[np.hypot(*samples[:, :2].T) > 1.0]
-    left = given_unseen(gaussian(mean, covariance), jnp.eye(2, 4), lambda points: jnp.hypot(*points.T) <= 1.0)
+    left = given_missed_detection(gaussian(mean, covariance), jnp.eye(2, 4), lambda points: jnp.hypot(*points.T) <= 1.0)
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(left.mean / scale, outside.mean(axis=0) / scale, atol=0.03)
     found = np.linalg.inv(left.information) / np.outer(scale, scale)
@@ -87,7 +87,7 @@ def test_what_depends_on_the_position_moves_with_it():
 def test_nothing_or_all_in_view_says_nothing(inside):
     """Nothing in view: nothing was to be expected. All of it: the belief was wrong altogether."""
     belief = gaussian([0.3, -2.0], np.diag([2.0, 1.0]))
-    left = given_unseen(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
+    left = given_missed_detection(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
     np.testing.assert_array_equal(left.mean, belief.mean)
     np.testing.assert_array_equal(left.information, belief.information)
 
@@ -95,7 +95,9 @@ def test_nothing_or_all_in_view_says_nothing(inside):
 @pytest.mark.parametrize(("absence", "is_honest"), [(None, False), ("used", True)])
 def test_a_filter_that_uses_absence_is_honest_of_what_it_looks_for_in_vain(absence, is_honest):
     """Targets anywhere about one who stands still; those count that were believed to be in view, and were not seen."""
-    scenario = Scenario(sensor=SensorSettings(absence=absence), scenes=SceneSettings(initial_error="consistent"))
+    scenario = Scenario(
+        sensor=SensorSettings(missed_detections=absence), scenes=SceneSettings(initial_error="consistent")
+    )
     problem, places = scenario.problem(), np.random.default_rng(0).uniform(-1, 1, (300, 20, 2)) * [4, 5] + [1, 0]
     still = ((0.0, 0.0),) * 20
     scenes = [
@@ -103,7 +105,7 @@ def test_a_filter_that_uses_absence_is_honest_of_what_it_looks_for_in_vain(absen
         for i, one in enumerate(places)
     ]
     suite = prepare(problem, replace(scenario.scenes, jitter_m_s=0.0), scenes, seed=0)
-    trace = simulate(suite, handmade("still", problem, 2.0), TRUE)
+    trace = simulate(suite, heuristic("still", problem, 2.0), TRUE)
     error = trace.mean[:, 1] - np.asarray(suite.truth.state)[:, 1]
     nees = np.einsum("eni,enij,enj->en", error, trace.information[:, 1], error)
     in_vain = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible[:, 0]

@@ -201,7 +201,7 @@ def test_best_range_is_the_deepest_point_ahead():
     np.testing.assert_array_equal(best_range(prism(PROBLEM.sensor.view)), best_range(PROBLEM.sensor.view))
 
 
-def test_a_schedule_is_refused():
+def test_a_schedule_is_rejected():
     changing = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5))).problem()
     future = Future(
         pose=jnp.zeros(3),

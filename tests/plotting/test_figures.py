@@ -21,14 +21,14 @@ from foveate.experiment.presets import PRESETS
 from foveate.geometry.space import SPACES
 from foveate.plotting import animation, figures
 from foveate.plotting import scene as drawing
-from foveate.plotting.episode_data import SUBSTEPS, Film, film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import TRUE
 
 TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
 
 
-def made_up(steps=4, n=3, seed=0, **changes) -> Film:
+def made_up(steps=4, n=3, seed=0, **changes) -> EpisodeData:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(steps + 1, n, 2, 2))
     truth = rng.uniform(-8, 8, (n, 2)) + rng.normal(0, 0.3, (steps + 1, n, 2)).cumsum(axis=0)
@@ -45,11 +45,11 @@ def made_up(steps=4, n=3, seed=0, **changes) -> Film:
         "present": np.ones((steps + 1, n), bool),
         "outline": (TRIANGLE,),
     }
-    return Film(**{**values, **changes})
+    return EpisodeData(**{**values, **changes})
 
 
-def stage(which: Film, moment: int, **options) -> drawing.Stage:
-    shown = drawing.Stage(drawing.new_figure(3.0, 3.0).subplots(), which, drawing.limits([which]), **options)
+def stage(which: EpisodeData, moment: int, **options) -> drawing.PlanarScene:
+    shown = drawing.PlanarScene(drawing.new_figure(3.0, 3.0).subplots(), which, drawing.limits([which]), **options)
     shown.show(moment)
     return shown
 
@@ -83,7 +83,7 @@ def test_film_cuts_padding_and_inverts_the_information(real):
     problem, ready, traces = real
     trace = jax.tree.map(lambda x: x[0], traces)
     truth = np.asarray(ready.episodes.truth.state[0])
-    made = film(problem, trace, truth, 6, 2, "a")
+    made = episode_data(problem, trace, truth, 6, 2, "a")
     assert (made.steps, made.targets) == (6, 2)
     assert made.pose.shape == (7, 3)
     np.testing.assert_array_equal(made.truth, truth[:7, :2])
@@ -98,7 +98,7 @@ def test_film_of_a_longer_state_shows_positions(real):
     Z = np.array([[0.0, 2.0]] * 2) * [[1], [0.5]] + np.eye(2)
     turned = dataclasses.replace(problem, motion=dataclasses.replace(problem.motion, Z=jax.numpy.asarray(Z)))
     trace = jax.tree.map(lambda x: x[1], traces)
-    made = film(turned, trace, np.asarray(trace.mean), 12, 4, "b")
+    made = episode_data(turned, trace, np.asarray(trace.mean), 12, 4, "b")
     np.testing.assert_allclose(made.truth[3, 1], Z @ trace.mean[3, 1], rtol=1e-12)
     inverse = np.linalg.inv(trace.information[5, 2])
     np.testing.assert_allclose(made.covariance[5, 2], Z @ inverse @ Z.T, rtol=1e-9)
@@ -116,7 +116,7 @@ def test_score_and_share_count_who_is_there():
     assert made_up(3, 0).seen_share == 0
 
 
-def test_times_that_do_not_fit_are_refused():
+def test_times_that_do_not_fit_are_rejected():
     short = made_up(3, 1)
     with pytest.raises(ValueError, match="times_s has 4 instants: expected 5"):
         dataclasses.replace(short, visible=np.zeros((4, 1), bool), log_det=np.zeros((4, 1)))
@@ -228,7 +228,7 @@ def test_trajectories_of_real_episodes(real, tmp_path):
     for i, scene in enumerate(ready.scenes[:2]):
         trace = jax.tree.map(lambda x, i=i: x[i], traces)
         truth = np.asarray(ready.episodes.truth.state[i])
-        films.append(film(problem, trace, truth, scene.horizon, len(scene.targets), scene.id))
+        films.append(episode_data(problem, trace, truth, scene.horizon, len(scene.targets), scene.id))
     figures.trajectory_figure(films, tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width == 1350
@@ -238,7 +238,7 @@ def test_trajectories_of_real_episodes(real, tmp_path):
 def test_a_scene_without_targets(real, tmp_path):
     problem, ready, traces = real
     trace = jax.tree.map(lambda x: x[2], traces)
-    made = film(problem, trace, np.asarray(ready.episodes.truth.state[2]), 3, 0, "empty")
+    made = episode_data(problem, trace, np.asarray(ready.episodes.truth.state[2]), 3, 0, "empty")
     figures.trajectory_figure([made], tmp_path / "a.png")
     figures.replay_figure({"still": made}, tmp_path / "b.png")
     animation.animate(made, tmp_path / "c.gif")
@@ -313,7 +313,7 @@ def test_animate_refuses(tmp_path, name, options, message):
         animation.animate(made_up(), tmp_path / name, **options)
 
 
-def test_nothing_to_draw_and_wrong_endings_are_refused(tmp_path):
+def test_nothing_to_draw_and_wrong_endings_are_rejected(tmp_path):
     with pytest.raises(ValueError, match="no film to draw"):
         figures.trajectory_figure([], tmp_path / "a.png")
     with pytest.raises(ValueError, match="no film to draw"):
@@ -365,7 +365,7 @@ def test_learning_curves_of_one_run_and_of_several(tmp_path):
     figures.learning_curve(runs[0], tmp_path / "one.png")
     figures.learning_curve([runs[0], runs[1] / "metrics.jsonl"], tmp_path / "two.svg")
     assert "<svg" in (tmp_path / "two.svg").read_text()
-    checks = figures.read_checks(runs[1] / "metrics.jsonl")
+    checks = figures.read_validations(runs[1] / "metrics.jsonl")
     assert [(check.epoch, check.best, check.event) for check in checks] == [
         (10, False, ""),
         (20, True, ""),
@@ -377,13 +377,13 @@ def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
     file = write_run(tmp_path / "a") / "metrics.jsonl"
     whole = file.read_text()
     file.write_text(whole[:-20])
-    assert len(figures.read_checks(file)) == 2
+    assert len(figures.read_validations(file)) == 2
     file.write_text("{}\n" + whole)
     with pytest.raises(ValueError, match="line 1: not a check"):
-        figures.read_checks(file)
+        figures.read_validations(file)
     file.write_text("")
     with pytest.raises(ValueError, match="no check in it yet"):
-        figures.read_checks(file)
+        figures.read_validations(file)
 
 
 def test_the_clock_and_the_timeline_follow_steps_of_any_length():

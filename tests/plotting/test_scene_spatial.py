@@ -22,9 +22,9 @@ from foveate.models.target import LinearGaussian
 from foveate.plotting import animation, figures
 from foveate.plotting import ellipsoids as solids
 from foveate.plotting import scene as drawing
-from foveate.plotting.episode_data import SUBSTEPS, Film, film
-from foveate.plotting.scene_spatial import DART, SpatialStage, stage_of
-from foveate.policies.heuristics import handmade
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
+from foveate.plotting.scene_spatial import DART, SpatialScene, scene_axes_of
+from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import TRUE, Episode, Truth
 from foveate.simulation.rollout import rollout
 
@@ -37,7 +37,7 @@ def hat(twist):
     return np.array([[0, -z, y, v[0]], [z, 0, -x, v[1]], [-y, x, 0, v[2]], [0, 0, 0, 0]])
 
 
-def made_up(steps=4, n=3, seed=0, **changes) -> Film:
+def made_up(steps=4, n=3, seed=0, **changes) -> EpisodeData:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(steps + 1, n, 3, 3))
     truth = rng.uniform(-6, 6, (n, 3)) + rng.normal(0, 0.3, (steps + 1, n, 3)).cumsum(axis=0)
@@ -57,12 +57,12 @@ def made_up(steps=4, n=3, seed=0, **changes) -> Film:
         "present": np.ones((steps + 1, n), bool),
         "outline": FRUSTUM,
     }
-    return Film(**{**values, **changes})
+    return EpisodeData(**{**values, **changes})
 
 
-def stage(which: Film, moment: int, **options) -> SpatialStage:
-    axes = drawing.new_figure(3.0, 3.0).add_subplot(axes_class=SpatialStage.axes_class)
-    shown = SpatialStage(axes, which, SpatialStage.limits([which]), **options)
+def stage(which: EpisodeData, moment: int, **options) -> SpatialScene:
+    axes = drawing.new_figure(3.0, 3.0).add_subplot(axes_class=SpatialScene.axes_class)
+    shown = SpatialScene(axes, which, SpatialScene.limits([which]), **options)
     shown.show(moment)
     return shown
 
@@ -182,7 +182,7 @@ def test_view_and_agent_are_moved_by_the_pose():
 def test_everything_stands_on_the_floor():
     which = made_up(3, 2)
     shown = stage(which, SUBSTEPS)
-    floor = SpatialStage.limits([which])[0, 2]
+    floor = SpatialScene.limits([which])[0, 2]
     posts = np.append(which.truth[1], which.pose[1, None, :3, 3], axis=0)
     drops = line(shown.drops).reshape(-1, 3, 3)
     np.testing.assert_allclose(drops[:, 0], posts)
@@ -211,7 +211,7 @@ def test_absent_targets_are_not_drawn():
     far = which.truth.copy()
     far[:, 1] = 1e6
     which = dataclasses.replace(which, truth=far, estimate=far)
-    assert np.abs(SpatialStage.limits([which])).max() < 100
+    assert np.abs(SpatialScene.limits([which])).max() < 100
     for instant, there in ((0, [0, 2]), (3, [0])):
         shown = stage(which, SUBSTEPS * instant)
         np.testing.assert_array_equal(line(shown.targets), which.truth[instant][there])
@@ -222,13 +222,13 @@ def test_absent_targets_are_not_drawn():
 
 def test_scales_are_equal_and_the_box_stays_in_sight_as_the_camera_swings():
     which = made_up(4, 3)
-    box = SpatialStage.limits([which])
+    box = SpatialScene.limits([which])
     points = np.concatenate([which.truth.reshape(-1, 3), which.pose[:, :3, 3]])
     assert (points > box[0]).all()
     assert (points < box[1]).all()
     figure = drawing.new_figure(5.0, 3.0, layout=None)
-    axes = figure.add_axes((0.1, 0.0, 0.7, 0.9), axes_class=SpatialStage.axes_class)
-    shown = SpatialStage(axes, which, box, trail=40)
+    axes = figure.add_axes((0.1, 0.0, 0.7, 0.9), axes_class=SpatialScene.axes_class)
+    shown = SpatialScene(axes, which, box, trail=40)
     eyes = []
     for moment in (0, 2 * SUBSTEPS, 4 * SUBSTEPS):
         shown.show(moment)
@@ -248,14 +248,14 @@ def test_scales_are_equal_and_the_box_stays_in_sight_as_the_camera_swings():
 
 def test_limits_of_one_point_alone_are_a_box():
     alone = made_up(0, 0, outline=(), visible=np.zeros((0, 0), bool), times_s=np.zeros(1))
-    low, high = SpatialStage.limits([alone])
+    low, high = SpatialScene.limits([alone])
     assert (low < alone.pose[0, :3, 3]).all()
     assert (high > alone.pose[0, :3, 3]).all()
 
 
 def test_the_space_of_a_film_says_what_draws_it():
-    assert stage_of(made_up()) is SpatialStage
-    assert stage_of(dataclasses.replace(made_up(), space=SPACES["planar"])) is drawing.Stage
+    assert scene_axes_of(made_up()) is SpatialScene
+    assert scene_axes_of(dataclasses.replace(made_up(), space=SPACES["planar"])) is drawing.PlanarScene
 
 
 # Files
@@ -281,9 +281,9 @@ def test_film_of_constant_velocity_shows_positions_and_their_covariance(tmp_path
         horizon=jnp.array(3),
         truth=Truth(state, jnp.zeros((3, 2, 3))),
     )
-    trace = rollout(problem, handmade("nearest", problem, 6.0), episode, TRUE, jax.random.key(0))
+    trace = rollout(problem, heuristic("nearest", problem, 6.0), episode, TRUE, jax.random.key(0))
     trace = jax.tree.map(np.asarray, trace)
-    made = film(problem, trace, np.asarray(state), 3, 2, "a")
+    made = episode_data(problem, trace, np.asarray(state), 3, 2, "a")
     np.testing.assert_allclose(made.truth, state[..., :3])
     np.testing.assert_allclose(made.covariance[2, 1], np.linalg.inv(trace.information[2, 1])[:3, :3])
     animation.animate(made, tmp_path / "a.png")
@@ -325,7 +325,7 @@ def test_an_empty_scene_and_a_vague_belief(tmp_path):
     assert len(list(tmp_path.iterdir())) == 4
 
 
-def test_wrong_endings_are_refused(tmp_path):
+def test_wrong_endings_are_rejected(tmp_path):
     with pytest.raises(ValueError, match=r"ends in .gif, .mp4 or .png"):
         animation.animate(made_up(), tmp_path / "a.avi")
     with pytest.raises(ValueError, match=r"ends in .png, .pdf, .svg"):
@@ -334,4 +334,4 @@ def test_wrong_endings_are_refused(tmp_path):
 
 @pytest.mark.parametrize(("steps", "count"), [(24, 73), (33, 100), (40, 81), (99, 100), (300, 76)])
 def test_frames_of_space_are_fewer(steps, count):
-    assert len(animation.frame_moments(steps, SpatialStage.max_frames)) == count
+    assert len(animation.frame_moments(steps, SpatialScene.max_frames)) == count

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from foveate.policies.heuristics import METHODS, handmade
+from foveate.policies.heuristics import HEURISTICS, heuristic
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import TriangleView
 from foveate.scenario.scenario import Scenario
@@ -45,7 +45,7 @@ def steered_to(control, pose, goal):
 
 @pytest.mark.parametrize("method", ["nearest", "uncertain"])
 def test_steers_to_the_target_that_it_says(method):
-    rng, policy = np.random.default_rng(0), handmade(method, PROBLEM, 2.0)
+    rng, policy = np.random.default_rng(0), heuristic(method, PROBLEM, 2.0)
     for _ in range(100):
         pose = np.array([*rng.uniform(-5, 5, 2), rng.uniform(-9, 9)])
         mean, log_dets, present = rng.uniform(-9, 9, (6, 2)), rng.uniform(-2, 9, 6), rng.random(6) < 0.7
@@ -58,7 +58,7 @@ def test_steers_to_the_target_that_it_says(method):
 
 
 def test_uncertain_takes_the_nearer_of_equals():
-    policy = handmade("uncertain", PROBLEM, 2.0)
+    policy = heuristic("uncertain", PROBLEM, 2.0)
     mean = [[0.0, 8.0], [1.0, -3.0], [5.0, 0.0]] * 2
     _, control = decide(policy, seen([0, 0, 0], mean, [1.0, 1.0, 1.0, 9, 9, 9], np.ones(6, bool)), jax.random.key(0))
     assert steered_to(control, np.zeros(3), [1, -3])
@@ -67,7 +67,7 @@ def test_uncertain_takes_the_nearer_of_equals():
 @pytest.mark.parametrize("method", ["nearest", "uncertain"])
 def test_stands_before_its_target_in_the_end(method):
     """A target that stands still: the agent ends at its standoff, facing it, and stays."""
-    policy = handmade(method, REVERSING, 2.0)
+    policy = heuristic(method, REVERSING, 2.0)
     goal = np.array([-6.0, 5.0])
     pose = np.array([0.3, 0.1, 1.0])
     mean = np.tile(goal, (6, 1))
@@ -81,17 +81,17 @@ def test_stands_before_its_target_in_the_end(method):
 def test_still_stands_still():
     observation = seen([1, 2, 3], np.ones((6, 2)), np.zeros(6), np.ones(6, bool))
     for problem in (PROBLEM, REVERSING):
-        action, control = decide(handmade("still", problem, 2.0), observation, jax.random.key(0))
+        action, control = decide(heuristic("still", problem, 2.0), observation, jax.random.key(0))
         np.testing.assert_allclose(control, 0, atol=1e-15)
         np.testing.assert_allclose(
             problem.agent.move(observation.pose, action, problem.tau), observation.pose, atol=1e-15
         )
     never = replace(Scenario(), agent=DifferentialDrive(v_min_m_s=0.5)).problem()
-    np.testing.assert_allclose(decide(handmade("still", never, 2.0), observation, jax.random.key(0))[1], [0.5, 0])
+    np.testing.assert_allclose(decide(heuristic("still", never, 2.0), observation, jax.random.key(0))[1], [0.5, 0])
 
 
 def test_random_covers_the_range_uniformly_and_depends_on_the_key():
-    policy = handmade("random", PROBLEM, 2.0)
+    policy = heuristic("random", PROBLEM, 2.0)
     observation = seen([1, 2, 3], np.ones((6, 2)), np.zeros(6), np.ones(6, bool))
     keys = jax.random.split(jax.random.key(0), 4000)
     action, control = jax.jit(jax.vmap(lambda key: decide(policy, observation, key)))(keys)
@@ -124,7 +124,7 @@ def test_lawnmower_leaves_no_point_of_the_box_further_than_a_view(given):
     """
     low, high = np.array([-8.0, -3.0]), np.array([10.0, 9.0])
     slow = replace(Scenario(), agent=DifferentialDrive(v_max_m_s=1.5), view=TriangleView(depth_m=2.0)).problem()
-    policy = handmade("lawnmower", slow, 2.0, jnp.stack([low, high]) if given else None)
+    policy = heuristic("lawnmower", slow, 2.0, jnp.stack([low, high]) if given else None)
     box = [low, high] if not given else [low + 5, low + 6]
     path = sweep(policy, slow, box)[:, :2]
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), axis=-1).reshape(-1, 2)
@@ -135,9 +135,9 @@ def test_lawnmower_leaves_no_point_of_the_box_further_than_a_view(given):
     assert (last < high + 3).all(), "it stays about its box"
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", HEURISTICS)
 def test_without_a_target_the_action_is_defined(method):
-    policy = handmade(method, PROBLEM, 2.0)
+    policy = heuristic(method, PROBLEM, 2.0)
     mean = np.full((6, 2), 1e6)
     action, control = decide(policy, seen([1, 2, 3], mean, np.zeros(6), np.zeros(6, bool)), jax.random.key(0))
     assert np.isfinite(action).all()
@@ -148,4 +148,4 @@ def test_without_a_target_the_action_is_defined(method):
 
 def test_unknown_method():
     with pytest.raises(ValueError, match=r"method 'nearst': expected one of random, still, nearest"):
-        handmade("nearst", PROBLEM, 2.0)
+        heuristic("nearst", PROBLEM, 2.0)

@@ -1,4 +1,4 @@
-"""Settings: everything wrong is refused in one line that names field and value; TOML gives back what it was given."""
+"""Settings: everything wrong is rejected in one line that names field and value; TOML gives back what it was given."""
 
 import math
 

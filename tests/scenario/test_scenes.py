@@ -83,7 +83,7 @@ ROWS = {
 }
 
 
-def refusal(path):
+def rejection(path):
     with pytest.raises(ValueError, match=path.name) as caught:
         read_scenes(path, PLANAR, SETTINGS)
     message = str(caught.value)
@@ -95,7 +95,7 @@ def refusal(path):
 @pytest.mark.parametrize("name", ROWS)
 def test_bad_scenes(tmp_path, name):
     rows, words = ROWS[name]
-    assert words in refusal(written(tmp_path / "bad.json", rows))
+    assert words in rejection(written(tmp_path / "bad.json", rows))
 
 
 @pytest.mark.parametrize(
@@ -115,16 +115,16 @@ def test_bad_scenes(tmp_path, name):
 )
 def test_bad_files(tmp_path, text, words):
     (tmp_path / "bad.json").write_text(text)
-    assert words in refusal(tmp_path / "bad.json")
+    assert words in rejection(tmp_path / "bad.json")
 
 
 def test_whole_numbers_beyond_all_floats(tmp_path):
     """JSON may hold whole numbers of hundreds of digits, of which no float can be made."""
-    assert "targets[0]" in refusal(written(tmp_path / "bad.json", [{**GOOD, "targets": [[10**400, 0], [0, 0]]}]))
+    assert "targets[0]" in rejection(written(tmp_path / "bad.json", [{**GOOD, "targets": [[10**400, 0], [0, 0]]}]))
 
 
 def test_missing_file(tmp_path):
-    assert "no such file" in refusal(tmp_path / "none.json")
+    assert "no such file" in rejection(tmp_path / "none.json")
 
 
 @pytest.mark.skipif(not CONTRACT.exists(), reason="the contract's checker lies outside of this repository")

@@ -19,7 +19,7 @@ from foveate.simulation.rollout import rollout
 SOFT = TrainingSettings(softness=((1.0, 0.4), (0.3, 0.25)), noise=True).protocol
 PLANAR = Scenario(scenes=SceneSettings(targets_min=1, targets_max=3))
 STREET = Scenario(
-    scenes=SceneSettings(targets_min=1, targets_max=3, half_side_per_target_m=0.5, jitter_m_s=0.8, turnover=True)
+    scenes=SceneSettings(targets_min=1, targets_max=3, half_side_per_target_m=0.5, jitter_m_s=0.8, birth_and_death=True)
 )
 CASES = {
     "surrogate, no noise": (PLANAR, SURROGATE, False),

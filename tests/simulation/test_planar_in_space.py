@@ -17,7 +17,7 @@ from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 from foveate.scenario.target import VelocityTarget
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.planar_in_space import Lifted, lifted_episode, lifted_pose, lifted_problem
+from foveate.simulation.planar_in_space import EmbeddedPolicy, embedded_episode, embedded_pose, embedded_problem
 from foveate.simulation.records import SURROGATE, TRUE, Protocol
 from foveate.simulation.rollout import log_dets, rollout
 
@@ -39,7 +39,7 @@ WORLDS = {
 def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
     scenario = WORLDS[name]
     problem = scenario.problem()
-    spatial = lifted_problem(problem)
+    spatial = embedded_problem(problem)
     policy = AttentionSettings(**{**vars(SMALL), "frame": frame}).policy(problem, jax.random.key(2))
     episode = training_episode(problem, scenario.scenes, jax.random.key(5), noise=True)
     # Three metres before a target, which a fresh policy, at about half speed straight ahead, then sees.
@@ -47,9 +47,9 @@ def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
         lambda e: e.pose, episode, jnp.append(episode.truth.state[0, 0, :2] - jnp.array([3.0, 0.0]), 0.0)
     )
     planar_trace = eqx.filter_jit(rollout)(problem, policy, episode, TRUE, jax.random.key(0))
-    trace = eqx.filter_jit(rollout)(spatial, Lifted(policy), lifted_episode(episode), TRUE, jax.random.key(0))
+    trace = eqx.filter_jit(rollout)(spatial, EmbeddedPolicy(policy), embedded_episode(episode), TRUE, jax.random.key(0))
     assert planar_trace.visible.any()
-    np.testing.assert_allclose(trace.pose, jax.vmap(lifted_pose)(planar_trace.pose), rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(trace.pose, jax.vmap(embedded_pose)(planar_trace.pose), rtol=1e-10, atol=1e-10)
     for field in ("action", "mean", "information", "log_det", "visible"):
         np.testing.assert_allclose(getattr(trace, field), getattr(planar_trace, field), rtol=1e-10, atol=1e-10)
 
@@ -64,7 +64,7 @@ def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
         return value, ravel_pytree(eqx.filter(slope, eqx.is_inexact_array))[0]
 
     value, slope = eqx.filter_jit(gradient)(problem, policy, episode)
-    spatial_value, spatial_slope = eqx.filter_jit(gradient)(spatial, Lifted(policy), lifted_episode(episode))
+    spatial_value, spatial_slope = eqx.filter_jit(gradient)(spatial, EmbeddedPolicy(policy), embedded_episode(episode))
     np.testing.assert_allclose(spatial_value, value, rtol=1e-10)
     assert np.linalg.norm(slope) > 1e-3
     np.testing.assert_allclose(spatial_slope, slope, rtol=0, atol=1e-10 * np.linalg.norm(slope))
@@ -76,7 +76,7 @@ def test_a_policy_with_memory_is_lifted_too():
     episode = training_episode(problem, SceneSettings(), jax.random.key(1), noise=False)
     planar = eqx.filter_jit(rollout)(problem, mower, episode, SURROGATE, jax.random.key(0))
     lifted = eqx.filter_jit(rollout)(
-        lifted_problem(problem), Lifted(mower), lifted_episode(episode), SURROGATE, jax.random.key(0)
+        embedded_problem(problem), EmbeddedPolicy(mower), embedded_episode(episode), SURROGATE, jax.random.key(0)
     )
     np.testing.assert_allclose(lifted.action, planar.action, rtol=1e-9, atol=1e-9)
 
@@ -84,7 +84,7 @@ def test_a_policy_with_memory_is_lifted_too():
 def test_what_cannot_be_lifted():
     problem = Scenario(sensor=SensorSettings(frame="body")).problem()
     with pytest.raises(ValueError, match="'body'"):
-        lifted_problem(problem)
+        embedded_problem(problem)
     with pytest.raises(ValueError, match="in space already"):
-        lifted_problem(lifted_problem(Scenario().problem()))
-    assert lifted_problem(Scenario().problem()).agent.space is SPACES["spatial"]
+        embedded_problem(embedded_problem(Scenario().problem()))
+    assert embedded_problem(Scenario().problem()).agent.space is SPACES["spatial"]

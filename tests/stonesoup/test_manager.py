@@ -40,7 +40,7 @@ from foveate.geometry.fov_spatial import frustum
 from foveate.geometry.space import Spatial
 from foveate.models import belief
 from foveate.models.agent import Agent
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
 from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of
@@ -110,7 +110,7 @@ def test_a_run_in_which_the_filters_agree():
     sensor, platform = mounted(body, seed=5)
     predictor, updater, P = KalmanPredictor(walking()), KalmanUpdater(None), np.diag([2.0, 0.3, 1.5, 0.2])
     problem = problem_of(sensor, predictor, 1.0, P)
-    policy = handmade("nearest", problem, 2.0)
+    policy = heuristic("nearest", problem, 2.0)
     manager = PolicySensorManager(platforms={platform}, predictor=predictor, policy=policy, pad_to=5)
     rng, tracker = np.random.default_rng(1), Tracker(problem, gate=None, forget_after_s=1e9)
     truth = np.array([[2.0, 0.0, 1.0, 0.0], [-3.0, 0.0, 2.0, 0.0], [1.0, 0.0, -2.0, 0.0]])
@@ -154,7 +154,7 @@ def test_beside_stone_soups_own_managers():
     scene = Scene(
         id="tiny-00", agent=(0.0, 0.0, 0.0), targets=((1.0, 0.5), (-6.0, 1.0)), drift=((0.0, 0.0),) * 2, horizon=6
     )
-    policies, found, took = {"uncertain": handmade("uncertain", PROBLEM, 2.0)}, {}, {}
+    policies, found, took = {"uncertain": heuristic("uncertain", PROBLEM, 2.0)}, {}, {}
     for name in ("uncertain", "brute force", "greedy"):
         world = EXPERIMENT["World"](PROBLEM, scene, (3, 3), steers=name == "greedy")
         found[name], seen, times = world.run(EXPERIMENT["manager_of"](name, policies, world, PROBLEM))
@@ -312,22 +312,22 @@ def replace_limits(agent):
 def test_what_has_no_place_is_said_in_one_line():
     linear, given = KalmanPredictor(walking()), {"policy": Ending()}
 
-    def refused(match, platforms=(), sensors=(), predictor=linear):
+    def rejected(match, platforms=(), sensors=(), predictor=linear):
         with pytest.raises(ValueError, match=match) as caught:
             PolicySensorManager(platforms=set(platforms), sensors=set(sensors), predictor=predictor, **given)
         assert "\n" not in str(caught.value)
 
     radar = RadarBearingRange(ndim_state=4, position_mapping=(0, 2), noise_covar=np.eye(2))
-    refused(
+    rejected(
         "RadarBearingRange has a CartesianToBearingRange: expected a linear-Gaussian", [mounted(body_of(), radar)[1]]
     )
     turning = ExtendedKalmanPredictor(ConstantTurn([0.1, 0.1], 0.1))
-    refused("ExtendedKalmanPredictor has a ConstantTurn: expected", [mounted(body_of())[1]], predictor=turning)
+    rejected("ExtendedKalmanPredictor has a ConstantTurn: expected", [mounted(body_of())[1]], predictor=turning)
     fixed = ViewSensor(**PLAIN, view=PROBLEM.sensor.view, space=PROBLEM.agent.space, position=np.zeros((2, 1)))
-    refused("carried by FixedMovable: expected a BodyMovable", sensors=[fixed])
-    refused("0 sensors: expected one")
-    refused("platforms is empty", sensors=[mounted(body_of())[0]])
-    refused("has an offset", [mounted(body_of(), mounting_offset=np.array([[1.0], [0.0]]))[1]])
+    rejected("carried by FixedMovable: expected a BodyMovable", sensors=[fixed])
+    rejected("0 sensors: expected one")
+    rejected("platforms is empty", sensors=[mounted(body_of())[0]])
+    rejected("has an offset", [mounted(body_of(), mounting_offset=np.array([[1.0], [0.0]]))[1]])
     with pytest.raises(ValueError, match="expected 2 entries"):
         body_of(state=(0.0, 0.0, 0.0), mapping=(0, 1, 2))
     with pytest.raises(ValueError, match=r"levels = \(3,\): expected 2 numbers"):

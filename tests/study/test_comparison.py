@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from foveate.evaluation.bounds import floors, with_closeness
+from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.summary import summarise
 from foveate.io.tables import markdown
@@ -38,7 +38,7 @@ RNG = np.random.default_rng(0)
 BASE = RNG.normal(4.0, 2.0, (2, SCENES))
 SEEDS = {0: BASE + 0.5, 10: BASE + RNG.normal(0, 0.3, (2, SCENES))}
 OTHER = BASE + RNG.normal(1.0, 0.7, (2, SCENES))
-CEILING = np.full((2, SCENES), 9.0)
+ORACLE = np.full((2, SCENES), 9.0)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def comparison():
         return Part(method=method, family=family, training_seed=seed, protocol="true", rows=rows(method, scores))
 
     parts = [
-        part("omniscient", "omniscient", CEILING),
+        part("omniscient", "omniscient", ORACLE),
         *(part("net", "trained", scores, seed) for seed, scores in SEEDS.items()),
         part("other", "planned", OTHER),
     ]
@@ -65,19 +65,19 @@ def test_a_scene_counts_once_however_many_seeds(comparison):
 
 def test_closeness_is_refused_for_a_filter_that_learns_from_looking_in_vain():
     scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=3)
-    with pytest.raises(ValueError, match="closeness is of a filter"):
-        floors(Scenario(sensor=SensorSettings(absence="used")).problem(), [scene])
+    with pytest.raises(ValueError, match="normalised_score is of a filter"):
+        lower_bounds(Scenario(sensor=SensorSettings(missed_detections="used")).problem(), [scene])
 
 
 def test_closeness_runs_from_the_floor_to_the_omniscient(comparison):
     for cell in comparison.summary:
         low = FLOORS[cell.motion, cell.targets]
-        assert cell.closeness == pytest.approx((cell.mean - low) / (9.0 - low))
+        assert cell.normalised_score == pytest.approx((cell.mean - low) / (9.0 - low))
     (overall,) = [one for one in comparison.overall if one.method == "omniscient"]
-    assert overall.closeness == pytest.approx(1.0)
+    assert overall.normalised_score == pytest.approx(1.0)
     (other,) = [one for one in comparison.overall if one.method == "other"]
     means = OTHER.mean(axis=1)
-    assert other.closeness == pytest.approx(((means[0] + 1) / 10 + (means[1] + 2) / 11) / 2)
+    assert other.normalised_score == pytest.approx(((means[0] + 1) / 10 + (means[1] + 2) / 11) / 2)
     assert other.mean == pytest.approx(means.mean())
 
 
@@ -154,13 +154,13 @@ def test_floors_are_means_over_the_scenes_of_a_cell():
         for n, steps in ((1, 3), (1, 9), (2, 21))
     ]
     unseen = {steps: -2 * np.log(2.0 + 0.05**2 * steps) for steps in (3, 9, 21)}
-    found = floors(problem, scenes)
+    found = lower_bounds(problem, scenes)
     assert found["unbiased", 1] == pytest.approx((unseen[3] + unseen[9]) / 2)
     assert found["unbiased", 2] == pytest.approx(unseen[21])
 
 
 def test_without_an_omniscient_there_is_no_closeness():
     cells = summarise(rows("net", BASE), 2)
-    assert [cell.closeness for cell in with_closeness(cells, [], FLOORS)] == [None, None]
+    assert [cell.normalised_score for cell in with_normalised_scores(cells, [], FLOORS)] == [None, None]
     low = summarise(rows("omniscient", np.array([[-1.0] * SCENES, [-2.0] * SCENES])), 2)
-    assert [cell.closeness for cell in with_closeness(cells, low, FLOORS)] == [None, None]
+    assert [cell.normalised_score for cell in with_normalised_scores(cells, low, FLOORS)] == [None, None]

@@ -9,13 +9,13 @@ from matplotlib.lines import Line2D
 from PIL import Image
 from plotting.test_figures import made_up
 
-from foveate.learning.loop import Check
+from foveate.learning.loop import Validation
 from foveate.plotting import scene as drawing
 from foveate.study import figures as figures_comparison
 from foveate.study.comparison import Overall
 from foveate.study.figures import Curve, curve_of, duel_figure, learning_curves, pareto_figure, pareto_front
 
-CHECK = Check(
+CHECK = Validation(
     epoch=50, objective=1.0, gradient_norm=2.0, held_out=3.0, at_limit=0.0, best=True, epochs_per_s=9.0, elapsed_s=8.0
 )
 
@@ -26,7 +26,7 @@ def overall(method, seconds, mean, family="planned", protocol="true") -> Overall
         family=family,
         protocol=protocol,
         mean=mean,
-        closeness=0.5,
+        normalised_score=0.5,
         seen_fraction=0.5,
         step_time_s=seconds,
     )
@@ -88,7 +88,7 @@ def test_both_agents_are_drawn_in_their_own_colour():
     axes = drawing.new_figure(3.0, 3.0).subplots()
     films = (made_up(seed=1), made_up(seed=2))
     for one, tint in zip(films, figures_comparison.DUEL, strict=True):
-        drawing.Stage(axes, one, drawing.limits(films), tint=tint).show(12)
+        drawing.PlanarScene(axes, one, drawing.limits(films), tint=tint).show(12)
     paths = [line for line in axes.lines if isinstance(line, Line2D) and line.get_color() in figures_comparison.DUEL]
     assert {line.get_color() for line in paths} == set(figures_comparison.DUEL)
     assert drawing.SEEN not in {line.get_color() for line in axes.lines}
@@ -109,7 +109,7 @@ def test_figures_are_files_of_readme_width(tmp_path):
             assert picture.width == 1350
 
 
-def test_nothing_to_draw_is_refused(tmp_path):
+def test_nothing_to_draw_is_rejected(tmp_path):
     with pytest.raises(ValueError, match="no learner"):
         learning_curves({}, tmp_path / "a.png")
     with pytest.raises(ValueError, match="no method"):

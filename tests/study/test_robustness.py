@@ -9,7 +9,7 @@ from scipy import stats
 
 from foveate.evaluation.evaluate import evaluate
 from foveate.experiment.presets import PRESETS
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
@@ -79,7 +79,7 @@ def test_scenes_are_those_of_table1_and_the_same_for_every_value():
 
 def test_points_are_what_an_evaluation_says():
     def nearest(world):
-        return handmade("nearest", world.scenario.problem(), world.scenario.view.depth_m)
+        return heuristic("nearest", world.scenario.problem(), world.scenario.view.depth_m)
 
     factor = replace(BY_NAME["V"], values=(0.2, 0.4))
     benches = {value: changed_bench(WORLD, factor, value, 2, 2023, 0) for value in factor.values}
@@ -128,15 +128,15 @@ def test_verdicts():
     net = found["net", 2.0]
     assert net.mean == pytest.approx(mean[1].mean())
     assert net.ci95 == pytest.approx(stats.t.interval(0.95, 11, loc=mean[1].mean(), scale=stats.sem(mean[1])))
-    assert net.closeness == pytest.approx((mean[1].mean() + 1) / 8)
+    assert net.normalised_score == pytest.approx((mean[1].mean() + 1) / 8)
     assert net.by_seed == pytest.approx(SCORES[:, 1].mean(axis=1))
     change = mean[1] - mean[0]
     assert net.difference == pytest.approx(change.mean())
     assert net.difference_ci95 == pytest.approx(stats.t.interval(0.95, 11, loc=change.mean(), scale=stats.sem(change)))
-    assert found["omniscient", 1.0].closeness == pytest.approx(1.0)
+    assert found["omniscient", 1.0].normalised_score == pytest.approx(1.0)
     (others, _, _, _) = verdicts(replace(MADE_UP, same_scenes=False), made_up_points())
     assert others.difference is None
     alone = [point for point in made_up_points() if point.method == "net"]
-    assert {one.closeness for one in verdicts(MADE_UP, alone)} == {None}
+    assert {one.normalised_score for one in verdicts(MADE_UP, alone)} == {None}
     data = as_json([MADE_UP], made_up_points(), {"protocol": "true"})
     assert [len(data["factors"][0][part]) for part in ("verdicts", "points")] == [4, 6]

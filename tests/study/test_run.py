@@ -67,7 +67,7 @@ def small(monkeypatch):
         (run / "checkpoint").mkdir(parents=True, exist_ok=True)
         (run / reproduction.LAST).write_text("")
         (run / reproduction.BEST).write_text(WEIGHTS[0])
-        return Outcome(epochs=1, best_epoch=1, best_score=2.0, returns=0, stopped="")
+        return Outcome(epochs=1, best_epoch=1, best_score=2.0, rollbacks=0, stopped="")
 
     CALLS.clear()
     WEIGHTS[:] = [""]
@@ -179,12 +179,12 @@ def test_another_version_trains_anew_and_does_not_go_on(tmp_path, monkeypatch):
 def test_a_training_that_cannot_be_gone_on_with_is_made_anew(tmp_path, monkeypatch):
     whole = cut_short(tmp_path, monkeypatch)
 
-    def refuse(experiment, run, seed, resume, report):
+    def reject(experiment, run, seed, resume, report):
         if resume:
             raise ValueError("last.npz: holds other arrays")
         return whole(experiment, run, seed, resume, report)
 
-    monkeypatch.setattr(reproduction, "train", refuse)
+    monkeypatch.setattr(reproduction, "train", reject)
     said = []
     reproduce(a_study(seeds=(0,)), tmp_path, say=said.append)
     assert CALLS[0] == "train net-0 resume=False"
@@ -201,7 +201,7 @@ def test_rows_are_those_of_the_weights_that_lie_there(tmp_path):
 
 
 def test_a_training_without_a_policy_is_said(tmp_path, monkeypatch):
-    nothing = Outcome(epochs=1, best_epoch=0, best_score=-float("inf"), returns=0, stopped="not finite")
+    nothing = Outcome(epochs=1, best_epoch=0, best_score=-float("inf"), rollbacks=0, stopped="not finite")
     monkeypatch.setattr(reproduction, "train", lambda *given: nothing)
     with pytest.raises(ValueError, match=r"net-0: no check of this training was finite.*not finite"):
         reproduce(a_study(seeds=(0,)), tmp_path)
@@ -219,13 +219,13 @@ class Wrong(MadeUp):
 
 
 @pytest.mark.parametrize(("how", "message"), [("missing", "gave 3 rows"), ("name", "name another method")])
-def test_rows_of_another_suite_or_method_are_refused(tmp_path, how, message):
+def test_rows_of_another_suite_or_method_are_rejected(tmp_path, how, message):
     with pytest.raises(ValueError, match=message):
         reproduce(a_study(methods=(Wrong(name="mine", how=how),), reference="mine"), tmp_path)
     assert not list((tmp_path / UNITS).iterdir())
 
 
-def test_two_methods_of_one_file_are_refused():
+def test_two_methods_of_one_file_are_rejected():
     (_, policy) = a_study().methods
     with pytest.raises(ValueError, match=r"rows-policy-0-surrogate\.json is another method's"):
         units(a_study(methods=(policy, MadeUp(name="policy-0"))))
@@ -305,7 +305,7 @@ def test_a_run_folder_that_is_gone_is_trained_anew(tmp_path):
         ),
     ],
 )
-def test_a_study_that_makes_no_sense_is_refused(changes, message):
+def test_a_study_that_makes_no_sense_is_rejected(changes, message):
     with pytest.raises(ValueError, match=message):
         a_study(**changes)
 

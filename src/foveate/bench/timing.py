@@ -91,7 +91,7 @@ def plain_python(loops: int = 100_000) -> int:
     return total
 
 
-def measure_yardsticks(repeats: int) -> dict[str, float]:
+def measure_references(repeats: int) -> dict[str, float]:
     """Rate of each yardstick [1/s]: floating-point operations of a matrix product, rounds of a Python loop."""
     product, operations = matrix_product()
     loops = 100_000

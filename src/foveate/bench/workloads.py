@@ -21,19 +21,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.bench.timing import Metric, compilations, in_turn, matrix_product, peak_memory_mib, spread, timed
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import prepare, simulate
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import TrainingSettings
 from foveate.experiment.presets import PRESETS
-from foveate.learning.devices import on_all, shared_out
+from foveate.learning.devices import on_all_devices, sharded
 from foveate.learning.gradient import mean_and_gradient
 from foveate.learning.loop import QUICKLY, advance_of, train
-from foveate.learning.policy_gradient import begin, together
+from foveate.learning.policy_gradient import begin, micro_batch_size
 from foveate.models.problem import Problem, first_information
 from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.attention import AttentionPolicy
-from foveate.policies.inputs import told
+from foveate.policies.inputs import policy_features
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.batch import Batch, Programs
 from foveate.simulation.environment import Environment
@@ -117,7 +118,7 @@ def network_program(
     poses = jax.vmap(lambda place: space.upright(place[1:], place[0]))(places)
     means = seen.mean + 0.1 * jax.random.normal(mean_key, (decisions, *seen.mean.shape))
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
-    at_once = round(together(training, scenes) * steps)
+    at_once = round(micro_batch_size(training, scenes) * steps)
 
     def cost(parameters, where):
         observation = eqx.tree_at(lambda o: (o.pose, o.mean), seen, where)
@@ -128,7 +129,7 @@ def network_program(
         return jax.tree.map(lambda p, g: p - 1e-3 * g, parameters, gradient)
 
     program = jax.jit(lambda count, parameters: jax.lax.fori_loop(0, count, step, parameters), compiler_options=QUICKLY)
-    run = on_all(program, shared_out(decisions, at_once).devices)
+    run = on_all_devices(program, sharded(decisions, at_once).devices)
     return lambda count: jax.tree.leaves(run(jnp.array(count), parameters))[0]
 
 
@@ -208,7 +209,7 @@ def environments(experiment: Experiment, repeats: int) -> list[Metric]:
     problem = scenario.problem()
 
     def look(observation: Observation, left: jax.Array) -> jax.Array:
-        return told(observation, left, problem.agent.space, "body").row
+        return policy_features(observation, left, problem.agent.space, "body").row
 
     batch = Batch(Programs(Environment(problem, scenario.scenes, PROTOCOLS["true"], True), look, ENVIRONMENTS))
     batch.renew(jax.random.split(jax.random.key(0), ENVIRONMENTS))
@@ -344,7 +345,7 @@ def _process(*arguments: str, cache: str | None = None) -> float:
     seconds = time.perf_counter() - began
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise ValueError(f"{' '.join(arguments)}: ended with {done.returncode}: {last}")
+        raise InputError(f"{' '.join(arguments)}: ended with {done.returncode}: {last}")
     return seconds
 
 

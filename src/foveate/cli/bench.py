@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 if TYPE_CHECKING:
     from foveate.bench.timing import Metric
 
 
-REPEATS, QUICK_REPEATS, YARDSTICK_REPEATS = 9, 3, 3
+REPEATS, QUICK_REPEATS, REFERENCE_REPEATS = 9, 3, 3
 
 
 LEAST = {"s": 0.05, "us": 1.0, "1": 0.5, "MiB": 32.0}
@@ -48,11 +49,11 @@ class Bench:
 
         check_output(self.json)
         if not self.episodes:
-            raise ValueError("--episodes: expected at least one number")
+            raise InputError("--episodes: expected at least one number")
         for size in self.episodes:
             check_least("--episodes", size, 1)
         if not self.tolerance > 0:
-            raise ValueError(f"--tolerance {self.tolerance}: expected > 0")
+            raise InputError(f"--tolerance {self.tolerance}: expected > 0")
         before = None if self.baseline is None else read_ratios(self.baseline)
         metrics, ratios = self._measure()
         if self.json is not None:
@@ -92,7 +93,7 @@ class Bench:
         from foveate.learning.devices import use_cores
 
         use_cores()
-        from foveate.bench.timing import Metric, measure_yardsticks, spread
+        from foveate.bench.timing import Metric, measure_references, spread
         from foveate.bench.workloads import measurements
         from foveate.io.progress import Bar
 
@@ -101,11 +102,11 @@ class Bench:
         ratios: dict[str, float] = {}
         with Bar("measuring", len(work), "parts") as bar:
             # Before and after each part, since other work on the machine comes and goes.
-            beside = [measure_yardsticks(YARDSTICK_REPEATS)]
+            beside = [measure_references(REFERENCE_REPEATS)]
             for i, (what, measure) in enumerate(work):
                 bar.update(i, what)
                 part = measure(self._repeats)
-                beside.append(measure_yardsticks(YARDSTICK_REPEATS))
+                beside.append(measure_references(REFERENCE_REPEATS))
                 rates = {name: (beside[-2][name] + beside[-1][name]) / 2 for name in beside[-1]}
                 ratios |= {metric.key: metric.ratio(rates) for metric in part}
                 found += part

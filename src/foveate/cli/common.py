@@ -5,8 +5,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from foveate.errors import InputError
+
 METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
-"""The trained policy, and the hand-made ones (`policies.handmade.METHODS`; repeated here to keep help fast)."""
+"""The trained policy, and the hand-made ones (`policies.heuristic.METHODS`; repeated here to keep help fast)."""
 
 
 def keep_compiled() -> None:
@@ -45,7 +47,7 @@ def check_methods(methods: Sequence[str]) -> tuple[str, ...]:
         return METHODS
     for name in methods:
         if name not in METHODS:
-            raise ValueError(f"--method {name}: expected one of {', '.join(METHODS)}, or all")
+            raise InputError(f"--method {name}: expected one of {', '.join(METHODS)}, or all")
     return tuple(dict.fromkeys(methods))
 
 
@@ -59,7 +61,7 @@ def check_seed(seed: int, name: str = "--seed") -> None:
 def check_least(name: str, value: int | None, least: int) -> None:
     """Raise ValueError for an option that is given and too small."""
     if value is not None and value < least:
-        raise ValueError(f"{name} {value}: expected >= {least}")
+        raise InputError(f"{name} {value}: expected >= {least}")
 
 
 def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -> None:
@@ -67,11 +69,11 @@ def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -
     if path is None:
         return
     if any(path.resolve() == Path(name).resolve() for name in inputs):
-        raise ValueError(f"{path}: is an input of this command: choose another file")
+        raise InputError(f"{path}: is an input of this command: choose another file")
     if path.exists() and path.is_dir() != folder:
-        raise ValueError(f"{path}: is {'no ' * folder}a folder: choose another place")
+        raise InputError(f"{path}: is {'no ' * folder}a folder: choose another place")
     if not path.resolve().parent.is_dir():
-        raise ValueError(f"{path}: no folder {path.parent}: make it first, or choose another place")
+        raise InputError(f"{path}: no folder {path.parent}: make it first, or choose another place")
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

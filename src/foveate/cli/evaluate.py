@@ -36,7 +36,7 @@ class Evaluate:
     initial_error: Annotated[Literal["paper", "consistent"] | None, option("paper|consistent")] = None
     """How far first means are off: as a measurement is (paper: less than the belief claims), or as the first belief
     claims (consistent; default: as the scenario says)."""
-    closeness: bool = False
+    normalised: Annotated[bool, tyro.conf.arg(aliases=("--closeness",))] = False
     """Say how far each score gets from never seeing anything (0) to the omniscient planner (1). Its plans take about
     100 s for table1 on 2 cores, once: they are kept in the user's cache folder."""
     json: Annotated[Path | None, option("FILE")] = None
@@ -65,7 +65,7 @@ class Evaluate:
             seed=self.seed,
             scene_seed=self.scene_seed,
             initial_error=self.initial_error,
-            closeness=self.closeness,
+            normalised=self.normalised,
         )
         print_table(found.table.title, found.table.header, found.table.rows)
         if self.json is not None:

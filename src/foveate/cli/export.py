@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -31,7 +32,7 @@ class Export:
         from foveate.experiment.resolve import load
 
         if self.out.suffix.lower() != ".onnx":
-            raise ValueError(f"{self.out}: expected a name that ends in .onnx")
+            raise InputError(f"{self.out}: expected a name that ends in .onnx")
         check_output(self.out)
         experiment, policy, _ = load(self.run)
         export(experiment, policy, self.out, self.opset)

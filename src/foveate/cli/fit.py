@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -55,10 +56,10 @@ class Fit:
 
         check_output(self.out, self.recording)
         if self.out.exists():
-            raise ValueError(f"{self.out}: exists already: choose another --out")
+            raise InputError(f"{self.out}: exists already: choose another --out")
         recording = window(load_recording(self.recording), self.start, self.end)
         if self.tau <= 0:
-            raise ValueError(f"--tau {self.tau}: expected > 0")
+            raise InputError(f"--tau {self.tau}: expected > 0")
         found = fit_statistics(recording, self.tau, self.max_gap)
         robot = Robot(
             v_max=self.v_max,

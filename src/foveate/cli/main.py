@@ -21,6 +21,7 @@ from foveate.cli.replay import Replay
 from foveate.cli.reproduce import Reproduce
 from foveate.cli.train import Train
 from foveate.cli.view import View
+from foveate.errors import InputError
 
 DESCRIPTION = """Teach a mobile agent with a limited field of view where to look.
 
@@ -53,11 +54,11 @@ COMMANDS = {
 }
 
 
-def _refuse_repeated(arguments: Sequence[str]) -> None:
+def _reject_repeated(arguments: Sequence[str]) -> None:
     """Raise ValueError where an option is given twice: the parser would take the last and say nothing."""
     names = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise ValueError(f"{twice[0]}: is given twice: expected once, with all of its values behind it")
+        raise InputError(f"{twice[0]}: is given twice: expected once, with all of its values behind it")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = tyro.cli(
             choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
         )
-        _refuse_repeated(given)
+        _reject_repeated(given)
         keep_compiled()
         full_precision()
         return command.run_command()

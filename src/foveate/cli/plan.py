@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 if TYPE_CHECKING:
     from foveate.evaluation.evaluate import Row
@@ -105,15 +106,15 @@ class Plan:
         check_least("--refine", self.refine, 1)
         check_least("--window", self.window, 1)
         if sum(world is not None for world in (self.run, self.config, self.preset)) > 1:
-            raise ValueError("--run, --config and --preset: each is a world to plan in; give one of them")
+            raise InputError("--run, --config and --preset: each is a world to plan in; give one of them")
         if self.window is not None and (self.omniscient or self.open_loop):
-            raise ValueError(f"--window {self.window}: only a plan made anew at every step has one")
+            raise InputError(f"--window {self.window}: only a plan made anew at every step has one")
         if self.refine is not None and self.run is None:
-            raise ValueError(f"--refine {self.refine}: whose policy? give --run RUN")
+            raise InputError(f"--refine {self.refine}: whose policy? give --run RUN")
         if self.omniscient and (self.open_loop or self.refine is not None):
-            raise ValueError("--omniscient: needs no --open-loop and no --refine: it knows the future")
+            raise InputError("--omniscient: needs no --open-loop and no --refine: it knows the future")
         if self.refine is not None and (self.open_loop or self.starts is not None or self.iterations is not None):
-            raise ValueError("--refine N: begins at the policy's own sequence; no other option of plans fits")
+            raise InputError("--refine N: begins at the policy's own sequence; no other option of plans fits")
 
     def _experiment(self) -> "Experiment":
         from foveate.experiment.experiment import Experiment
@@ -127,7 +128,7 @@ class Plan:
             return experiment_of(self.run)
         preset = self.preset or "paper"
         if preset not in PRESETS:
-            raise ValueError(f"--preset {preset}: presets are {', '.join(PRESETS)}")
+            raise InputError(f"--preset {preset}: presets are {', '.join(PRESETS)}")
         return PRESETS[preset]
 
     def _rows(self, experiment: "Experiment", scenes: "list[Scene]", protocol: str, report) -> "list[Row]":

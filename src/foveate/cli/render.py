@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -39,17 +40,17 @@ class Render:
         from foveate.evaluation.evaluate import prepare
         from foveate.experiment.resolve import experiment_of, policy_of, scenes_of
         from foveate.plotting.animation import animate
-        from foveate.plotting.episode_data import films
+        from foveate.plotting.episode_data import suite_data
         from foveate.plotting.figures import trajectory_figure
 
         moving = self.out.suffix.lower() in (".gif", ".mp4")
         if not moving and self.out.suffix.lower() not in (".png", ".pdf", ".svg"):
-            raise ValueError(f"{self.out}: expected a name that ends in .gif, .mp4, .png, .pdf or .svg")
+            raise InputError(f"{self.out}: expected a name that ends in .gif, .mp4, .png, .pdf or .svg")
         check_output(self.out, *([self.scenes] if self.scenes else []))
         check_seed(self.seed)
         check_seed(self.scene_seed, "--scene-seed")
         if self.method == "all":
-            raise ValueError("--method all: expected one method to draw")
+            raise InputError("--method all: expected one method to draw")
         (method,) = check_methods((self.method,))
         experiment = experiment_of(self.run)
         policy = policy_of(self.run, method, experiment)
@@ -57,7 +58,7 @@ class Render:
         chosen = self._chosen(known, name, moving)
         problem = experiment.scenario.problem()
         suite = prepare(problem, experiment.scenario.scenes, chosen, self.seed)
-        shown = films(suite, policy, self.protocol, method)
+        shown = suite_data(suite, policy, self.protocol, method)
         if moving:
             animate(shown[0], self.out)
         else:
@@ -72,9 +73,9 @@ class Render:
         by_id = {scene.id: scene for scene in known}
         for scene in self.scene:
             if scene not in by_id:
-                raise ValueError(f"--scene {scene}: no such scene in {name}: {suggestion(scene, by_id)}")
+                raise InputError(f"--scene {scene}: no such scene in {name}: {suggestion(scene, by_id)}")
         if moving and len(self.scene) > 1:
-            raise ValueError("--scene: a moving picture shows one scene; name one, or choose .png")
+            raise InputError("--scene: a moving picture shows one scene; name one, or choose .png")
         if self.scene:
             return [by_id[scene] for scene in self.scene]
         last = {len(scene.targets): scene for scene in known}

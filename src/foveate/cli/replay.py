@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 GATE = 0.9999
 """Of `models.gate`, repeated here to keep help fast."""
@@ -38,7 +39,7 @@ class Replay:
     """Longest gap between two fixes over which a target counts as present [s] (default: 2 s, or three fixes of a slow
     clock)."""
     gate: float | None = GATE
-    """The filter refuses measurements that are farther from their prediction than this share of honest ones; None: it
+    """The filter rejects measurements that are farther from their prediction than this share of honest ones; None: it
     takes whatever comes. With the fifth in a row the target has really jumped, and its belief begins anew."""
     seed: int = 0
     """Seed of the noise and of drawn starts."""
@@ -102,15 +103,15 @@ class Replay:
         from foveate.recordings.replay import default_agent_start, random_agent_starts
 
         if self.starts < 1:
-            raise ValueError(f"--starts {self.starts}: expected >= 1")
+            raise InputError(f"--starts {self.starts}: expected >= 1")
         if self.agent_start is not None:
             if self.starts > 1:
-                raise ValueError("--agent-start and --starts: expected one of them")
+                raise InputError("--agent-start and --starts: expected one of them")
             try:
                 numbers = [float(part) for part in self.agent_start.split(",")]
                 experiment.scenario.problem().agent.space.from_numbers(numbers)
             except ValueError as error:
-                raise ValueError(f"--agent-start {self.agent_start}: {error}") from None
+                raise InputError(f"--agent-start {self.agent_start}: {error}") from None
             return [numbers]
         if self.starts > 1:
             return random_agent_starts(recording, experiment.scenario, self.starts, self.seed)
@@ -131,7 +132,7 @@ class Replay:
             "nees_seen",
             "nees_unseen",
             "lost",
-            "refused",
+            "rejected",
         )
         lines = []
         for method in methods:
@@ -152,20 +153,22 @@ class Replay:
             "of the seen",
             "of the never seen",
             "lost",
-            "refused",
+            "rejected",
         )
         print_table(f"{self.recording.name}: mean of {self.starts} start(s)", header, lines)
 
     def _draw(self, films) -> None:
         from foveate.plotting.animation import animate
-        from foveate.plotting.episode_data import film
+        from foveate.plotting.episode_data import episode_data
         from foveate.plotting.figures import replay_figure
 
         assert self.out is not None, "called with a folder only"
         shots = {}
         for name, (ready, trace) in films.items():
             steps, columns = trace.visible.shape
-            shots[name] = film(ready.problem, trace, ready.truth, steps, columns, f"{name} on {self.recording.name}")
+            shots[name] = episode_data(
+                ready.problem, trace, ready.truth, steps, columns, f"{name} on {self.recording.name}"
+            )
         replay_figure(shots, self.out / "replay.png")
         first = next(iter(shots))
         animate(shots[first], self.out / "replay.gif")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 if TYPE_CHECKING:
     from foveate.study.comparison import Comparison
@@ -22,7 +23,7 @@ class Reproduce:
 
     The paper's: learners with three seeds, planners, a policy refined by a planner, policies made by hand, and the
     omniscient planner as the yardstick, each under both protocols. Into --out: table.md, table.json (every episode, the
-    summary with closeness, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one
+    summary with normalised_score, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one
     run folder a training. Ctrl-C is safe: the same command goes on where it stopped, and a call with other settings
     makes anew only what depends on them.
 
@@ -64,7 +65,7 @@ class Reproduce:
         suffix = f"{'-true-view' * (self.suite == 'true-view')}{'-quick' * self.quick}"
         out = self.out or Path("runs") / f"reproduce{suffix}"
         if out.exists() and not out.is_dir():
-            raise ValueError(f"{out}: is no folder: choose another place")
+            raise InputError(f"{out}: is no folder: choose another place")
         total = len(units(study))
         with Bar(f"reproducing {self.suite}", total, "units") as bar:
             try:
@@ -100,7 +101,7 @@ def _own(place: str) -> "list[Method]":
 
     file, _, name = place.rpartition(":")
     if not file.endswith(".py") or not Path(file).is_file():
-        raise ValueError(f"--add {place}: expected FILE.py:NAME of a file that is there")
+        raise InputError(f"--add {place}: expected FILE.py:NAME of a file that is there")
     spec = importlib.util.spec_from_file_location(f"foveate_own_{Path(file).stem}", file)
     assert spec is not None, "a name that ends in .py has a loader"
     assert spec.loader is not None, "a name that ends in .py has a loader"
@@ -111,7 +112,7 @@ def _own(place: str) -> "list[Method]":
     methods = list(found) if isinstance(found, tuple | list) else [found]
     ours = [method for method in methods if isinstance(method, Method)]
     if not ours or len(ours) < len(methods):
-        raise ValueError(f"--add {place}: expected a record of foveate.study.methods, or a tuple of them, of that name")
+        raise InputError(f"--add {place}: expected a record of foveate.study.methods, or a tuple of them, of that name")
     return ours
 
 

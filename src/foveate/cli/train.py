@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 if TYPE_CHECKING:
     from foveate.experiment.experiment import Experiment
@@ -90,12 +91,12 @@ class Train:
         from foveate.learning.devices import join
 
         if self.coordinator is None:
-            raise ValueError("--processes and --process-id: expected --coordinator HOST:PORT beside them")
+            raise InputError("--processes and --process-id: expected --coordinator HOST:PORT beside them")
         if self.coordinator != "auto":
             if self.processes is None or self.process_id is None:
-                raise ValueError(f"--coordinator {self.coordinator}: expected --processes N and --process-id I beside")
+                raise InputError(f"--coordinator {self.coordinator}: expected --processes N and --process-id I beside")
             if not 0 <= self.process_id < self.processes:
-                raise ValueError(f"--process-id {self.process_id}: expected from 0 to {self.processes - 1}")
+                raise InputError(f"--process-id {self.process_id}: expected from 0 to {self.processes - 1}")
         join(self.coordinator, self.processes, self.process_id)
 
     def _run(self) -> int:
@@ -105,7 +106,7 @@ class Train:
         from foveate.learning.loop import stored_run
 
         if self.resume is not None:
-            self._refuse_with_resume()
+            self._reject_with_resume()
             experiment, seed = stored_run(self.resume)
             experiment, out = self._for_long_horizons(experiment), self._folder()
         else:
@@ -114,8 +115,8 @@ class Train:
         print(
             f"{out}: best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
         )
-        if outcome.returns:
-            print(f"{out}: collapsed and went back to its best {outcome.returns} times (metrics.jsonl says when)")
+        if outcome.rollbacks:
+            print(f"{out}: collapsed and went back to its best {outcome.rollbacks} times (metrics.jsonl says when)")
         if outcome.stopped:
             print(f"{out}: stopped early: {outcome.stopped}", file=sys.stderr)
             return 1
@@ -129,12 +130,12 @@ class Train:
         names = [named, self.algorithm, str(self.seed)]
         return self.out or Path("runs") / "-".join(name for name in names if name)
 
-    def _refuse_with_resume(self) -> None:
+    def _reject_with_resume(self) -> None:
         for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out", "window", "remat"):
             if getattr(self, name) not in (None, False):
-                raise ValueError(f"--{name} and --resume: a run goes on with the settings it began with")
+                raise InputError(f"--{name} and --resume: a run goes on with the settings it began with")
         if self.seed != 0:
-            raise ValueError("--seed and --resume: a run goes on with the seed it began with")
+            raise InputError("--seed and --resume: a run goes on with the seed it began with")
 
     def _train(self, experiment: "Experiment", out: Path, seed: int) -> "Outcome":
         """Train, and say how to go on where it is interrupted or fails."""
@@ -161,7 +162,7 @@ class Train:
         from foveate.io.toml import load_toml
 
         if self.preset is not None and self.config is not None:
-            raise ValueError("--preset and --config: each is a whole experiment: give one of them")
+            raise InputError("--preset and --config: each is a whole experiment: give one of them")
         experiment = load_toml(Experiment, self.config) if self.config is not None else PRESETS[self.preset or "paper"]
         return self._for_long_horizons(adjusted(experiment, self.algorithm, self.epochs, self.episodes, self.steps))
 
@@ -173,7 +174,7 @@ class Train:
         if not self.remat and self.window is None and self.coordinator is None:
             return experiment
         if not isinstance(training, TrainingSettings):
-            raise ValueError("--remat, --window, --coordinator: expected a training by the policy gradient")
+            raise InputError("--remat, --window, --coordinator: expected a training by the policy gradient")
         if self.window is not None:
             training = replace(training, window=self.window)
         if self.remat:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from foveate.cli.options import option
+from foveate.errors import InputError
 
 if TYPE_CHECKING:
     from foveate.experiment.experiment import Experiment
@@ -54,11 +55,11 @@ class View:
         from foveate.cli.common import check_output, check_seed
 
         if self.scenes is not None and self.recording is not None:
-            raise ValueError("--scenes and --recording: expected one of them")
+            raise InputError("--scenes and --recording: expected one of them")
         if not 1 <= self.port <= 65535:
-            raise ValueError(f"--port {self.port}: expected a whole number from 1 to 65535")
+            raise InputError(f"--port {self.port}: expected a whole number from 1 to 65535")
         if self.record is not None and self.record.suffix.lower() != ".html":
-            raise ValueError(f"{self.record}: expected a name that ends in .html")
+            raise InputError(f"{self.record}: expected a name that ends in .html")
         check_output(self.record, *[name for name in (self.scenes, self.recording) if name])
         check_seed(self.seed)
         check_seed(self.scene_seed, "--scene-seed")
@@ -88,19 +89,19 @@ class View:
         from foveate.evaluation.evaluate import prepare
         from foveate.experiment.resolve import policy_of, scenes_of
         from foveate.io.records import suggestion
-        from foveate.plotting.episode_data import Film, films
+        from foveate.plotting.episode_data import EpisodeData, suite_data
         from foveate.plotting.live.server import Programme
 
         name, known = scenes_of(self.scenes, self.scene_seed, experiment)
         by_id = {scene.id: scene for scene in known}
         if self.scene is not None and self.scene not in by_id:
-            raise ValueError(f"--scene {self.scene}: no such scene in {name}: {suggestion(self.scene, by_id)}")
+            raise InputError(f"--scene {self.scene}: no such scene in {name}: {suggestion(self.scene, by_id)}")
         first = (self.scene,) if self.scene is not None else ()
         problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
 
-        def make(scene: str, method: str) -> Film:
+        def make(scene: str, method: str) -> EpisodeData:
             suite = prepare(problem, settings, [by_id[scene]], self.seed)
-            return films(suite, policy_of(self.run, method, experiment), self.protocol, method)[0]
+            return suite_data(suite, policy_of(self.run, method, experiment), self.protocol, method)[0]
 
         return Programme(scenes=tuple(dict.fromkeys((*first, *by_id))), methods=self._methods(), film=make)
 
@@ -111,7 +112,7 @@ class View:
         import numpy as np
 
         from foveate.experiment.resolve import policy_of
-        from foveate.plotting.episode_data import Film, film
+        from foveate.plotting.episode_data import EpisodeData, episode_data
         from foveate.plotting.live.server import Programme
         from foveate.recordings.formats import load_recording
         from foveate.recordings.motion import default_max_gap_s
@@ -120,7 +121,7 @@ class View:
 
         assert self.recording is not None, "called with a recording only"
         if self.scene is not None:
-            raise ValueError("--scene: a recording is one scene")
+            raise InputError("--scene: a recording is one scene")
         recording = window(load_recording(self.recording), self.start, self.end)
         gap_s = default_max_gap_s(recording) if self.max_gap is None else self.max_gap
         box = jnp.asarray(np.stack(recording.extent), float)
@@ -129,9 +130,9 @@ class View:
         for line in warnings_for(experiment.scenario, recording, ready.slots, gap_s):
             print(f"warning: {line}", file=sys.stderr)
 
-        def make(scene: str, method: str) -> Film:
+        def make(scene: str, method: str) -> EpisodeData:
             _, trace = replay(ready, method, policy_of(self.run, method, experiment, box))
             steps, columns = trace.visible.shape
-            return film(ready.problem, trace, ready.truth, steps, columns, f"{method} on {scene}")
+            return episode_data(ready.problem, trace, ready.truth, steps, columns, f"{method} on {scene}")
 
         return Programme(scenes=(self.recording.name,), methods=self._methods(), film=make)

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.simulation.records import Observation
 
@@ -34,10 +35,10 @@ class Belief:
         known_input: ArrayLike | None = None,
     ) -> None:
         if (covariance is None) == (information is None):
-            raise ValueError("covariance, information: expected one of them")
+            raise InputError("covariance, information: expected one of them")
         given = np.array(mean, float)
         if given.ndim != 2 or given.shape[1] < 1:
-            raise ValueError(f"mean has shape {given.shape}: expected (n, n_y), a row a target")
+            raise InputError(f"mean has shape {given.shape}: expected (n, n_y), a row a target")
         self.present: Bool[np.ndarray, " n"] = _mask(present, len(given))
         self.mean: Float[np.ndarray, "n n_y"] = _rows("mean", given, self.present)
         if covariance is not None:
@@ -87,13 +88,13 @@ def fitting(belief: Belief, problem: Problem) -> Belief:
     """The belief, with known inputs, 0 where it has none. Raises ValueError where it is of other targets."""
     (n, n_y), size, m_y = belief.mean.shape, problem.motion.state_size, problem.motion.input_size
     if n_y != size:
-        raise ValueError(
+        raise InputError(
             f"mean has shape {(n, n_y)}: expected {(n, size)}, states of these targets have {size} numbers"
         )
     if belief.known_input is None:
         return belief.with_inputs(np.zeros((n, m_y)))
     if belief.known_input.shape != (n, m_y):
-        raise ValueError(f"known_input has shape {belief.known_input.shape}: expected {(n, m_y)}")
+        raise InputError(f"known_input has shape {belief.known_input.shape}: expected {(n, m_y)}")
     return belief
 
 
@@ -130,17 +131,17 @@ def predicted(belief: Belief, problem: Problem, known_input: ArrayLike | None = 
 def _mask(present: ArrayLike | None, n: int) -> Bool[np.ndarray, " n"]:
     there = np.ones(n, bool) if present is None else np.array(present)
     if there.shape != (n,) or there.dtype != bool:
-        raise ValueError(f"present has shape {there.shape} of {there.dtype}: expected ({n},) of bool")
+        raise InputError(f"present has shape {there.shape} of {there.dtype}: expected ({n},) of bool")
     return there
 
 
 def _rows(name: str, rows: np.ndarray, present: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n numbers"]:
     """Finite rows, 0 in padding."""
     if rows.ndim != 2 or len(rows) != len(present):
-        raise ValueError(f"{name} has shape {rows.shape}: expected ({len(present)}, ..), a row a target")
+        raise InputError(f"{name} has shape {rows.shape}: expected ({len(present)}, ..), a row a target")
     kept = np.where(present[:, None], rows, 0.0)
     if not (fine := np.isfinite(kept).all(axis=1)).all():
-        raise ValueError(f"{name}[{fine.argmin()}] = {kept[fine.argmin()].tolist()}: expected finite numbers")
+        raise InputError(f"{name}[{fine.argmin()}] = {kept[fine.argmin()].tolist()}: expected finite numbers")
     return kept
 
 
@@ -150,11 +151,11 @@ def _matrices(
     """Symmetric, positive definite matrices, the identity in padding."""
     (n, n_y), given, identity = mean.shape, np.array(value, float), np.eye(mean.shape[1])
     if given.shape not in ((n, n_y, n_y), (n_y, n_y)):
-        raise ValueError(f"{name} has shape {given.shape}: expected ({n}, {n_y}, {n_y}), or ({n_y}, {n_y}) for all")
+        raise InputError(f"{name} has shape {given.shape}: expected ({n}, {n_y}, {n_y}), or ({n_y}, {n_y}) for all")
     found = np.where(present[:, None, None], given, identity)
     for i, matrix in enumerate(found):
         finite = bool(np.isfinite(matrix).all())
         symmetric = finite and np.abs(matrix - matrix.T).max() <= ASYMMETRY * np.abs(matrix).max()
         if not symmetric or np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise ValueError(f"{name}[{i}] = {matrix.tolist()}: expected finite, symmetric and positive definite")
+            raise InputError(f"{name}[{i}] = {matrix.tolist()}: expected finite, symmetric and positive definite")
     return 0.5 * (found + found.swapaxes(1, 2))

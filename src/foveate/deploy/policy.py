@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from foveate.deploy.belief import Belief, observation, predicted
 from foveate.deploy.onnx.export import export
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.run_folder import BEST
@@ -79,7 +80,7 @@ class TrainedPolicy:
         """
         left = self.steps_left if steps_left is None else steps_left
         if left < 1 or left != int(left):
-            raise ValueError(f"steps_left = {steps_left}: expected a whole number >= 1")
+            raise InputError(f"steps_left = {steps_left}: expected a whole number >= 1")
         size = LEAST
         while size < len(belief.mean):
             size *= 2
@@ -87,7 +88,7 @@ class TrainedPolicy:
         seen = observation(belief, self.problem, here, left, size)
         command = np.array(_decide(self.network, self.problem.agent, seen))
         if not np.isfinite(command).all():
-            raise ValueError("belief, pose: expected numbers that float32 can hold, also squared: there is no decision")
+            raise InputError("belief, pose: expected numbers that float32 can hold, also squared: there is no decision")
         return command
 
     def export(self, path: str | Path) -> None:
@@ -101,7 +102,7 @@ class TrainedPolicy:
         """
         out = Path(folder)
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise ValueError(f"{out}: exists already: choose another folder")
+            raise InputError(f"{out}: exists already: choose another folder")
         (out / BEST).parent.mkdir(parents=True, exist_ok=True)
         write_config(out, self.experiment)
         save_tree(out / BEST, self.network, self.experiment, "policy", self.facts)
@@ -130,7 +131,7 @@ def _pose(space: Space, pose: ArrayLike) -> Float[np.ndarray, "..."]:
     turn = given[:3, :3]
     proper = np.isfinite(given).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3 and np.linalg.det(turn) > 0
     if not proper or np.any(given[3] != [0, 0, 0, 1]):
-        raise ValueError(
+        raise InputError(
             f"pose = {given.tolist()}: expected a homogeneous matrix: a rotation, a position, [0, 0, 0, 1]"
         )
     return given

@@ -15,11 +15,12 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from foveate.deploy.belief import Belief, observation
+from foveate.errors import InputError
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.numpy_poses import positions, rotation
 from foveate.models import belief
 from foveate.models.gate import GATE, RESTART_AFTER, gate_limit
-from foveate.models.missed_detection import given_unseen
+from foveate.models.missed_detection import given_missed_detection
 from foveate.models.problem import Problem
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Observation
@@ -27,14 +28,14 @@ from foveate.simulation.records import Observation
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What an update made of the detections, by id: `refused` are those that the gate kept out.
+    """What an update made of the detections, by id: `rejected` are those that the gate kept out.
 
     `appeared` are new ones, and those that have jumped and begin anew.
     """
 
     updated: tuple[Hashable, ...]
     appeared: tuple[Hashable, ...]
-    refused: tuple[Hashable, ...]
+    rejected: tuple[Hashable, ...]
 
 
 class Tracker:
@@ -44,18 +45,18 @@ class Tracker:
     new id begins a belief: N(z, V) in what is measured, the scenario's first belief, about 0, in the rest (one-point
     initiation). A target that no detection has updated for more than `forget_after_s` seconds is dropped.
 
-    A detection is refused where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
-    chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 refuses one honest detection in
-    ten thousand. One that is not finite is refused too. `refused` counts them by id. A target that has really jumped is
-    refused four times in a row, and begins anew with the fifth detection. `gate` None takes whatever comes.
+    A detection is rejected where its squared Mahalanobis distance to the prediction is above the quantile `gate` of the
+    chi-square distribution (Bar-Shalom, Li & Kirubarajan 2001, section 5.4): 0.9999 rejects one honest detection in
+    ten thousand. One that is not finite is rejected too. `rejected` counts them by id. A target that has really jumped is
+    rejected four times in a row, and begins anew with the fifth detection. `gate` None takes whatever comes.
 
-    Where the scenario says `sensor.absence = "used"`, a target without a detection is believed to be outside of the
+    Where the scenario says `sensor.missed_detections = "used"`, a target without a detection is believed to be outside of the
     view from there on.
     """
 
     def __init__(self, problem: Problem | Scenario, *, forget_after_s: float = 10.0, gate: float | None = GATE) -> None:
         if not forget_after_s > 0:
-            raise ValueError(f"forget_after_s = {forget_after_s}: expected > 0")
+            raise InputError(f"forget_after_s = {forget_after_s}: expected > 0")
         problem = problem.problem() if isinstance(problem, Scenario) else problem
         self._problem, period, sensor = problem, problem.period, problem.sensor
         self._tau, self._V = _array(period.tau), _array(period.V)
@@ -68,7 +69,7 @@ class Tracker:
         self._forget_after_s = forget_after_s
         self.step = 0
         self.ids: tuple[Hashable, ...] = ()
-        self.refused: Counter[Hashable] = Counter()
+        self.rejected: Counter[Hashable] = Counter()
         n_y, m_y = self._B.shape[1:]
         self.mean: Float[np.ndarray, "n n_y"] = np.zeros((0, n_y))
         self.covariance: Float[np.ndarray, "n n_y n_y"] = np.zeros((0, n_y, n_y))
@@ -81,11 +82,11 @@ class Tracker:
         Raises ValueError for an id that is there and a position or covariance (n_y, n_y) of another shape.
         """
         if target in self.ids:
-            raise ValueError(f"target {target!r}: is tracked already")
+            raise InputError(f"target {target!r}: is tracked already")
         position = _checked(f"position of target {target!r}", position_world, (len(self._Z),))
         P = self._first if covariance is None else _checked("covariance", covariance, self._first.shape)
         if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or np.linalg.eigvalsh(P)[0] <= 0:
-            raise ValueError(f"covariance = {P.tolist()}: expected a symmetric, positive definite matrix")
+            raise InputError(f"covariance = {P.tolist()}: expected a symmetric, positive definite matrix")
         self._begin(target, np.linalg.pinv(self._Z) @ position, P)
 
     def predict(self, known_inputs: Mapping[Hashable, ArrayLike] | None = None) -> tuple[Hashable, ...]:
@@ -116,7 +117,7 @@ class Tracker:
         z_of = {target: np.asarray(z, float) for target, z in detections.items()}
         for target, z in z_of.items():
             if z.shape != (len(self._H),):
-                raise ValueError(f"detection of {target!r} has shape {z.shape}: expected {(len(self._H),)}")
+                raise InputError(f"detection of {target!r} has shape {z.shape}: expected {(len(self._H),)}")
         finite = [target for target, z in z_of.items() if np.isfinite(z).all()]
         place = {target: i for i, target in enumerate(self.ids)}
         known = [target for target in finite if target in place]
@@ -136,11 +137,11 @@ class Tracker:
             self._begin(target, *self._one_point(pose, z_of[target]))
         appeared = (*jumped, *new)
         taken_in = {*updated, *appeared}
-        refused = tuple(target for target in z_of if target not in taken_in)
-        self.refused.update(refused)
-        if self._sensor.uses_absence:
+        rejected = tuple(target for target in z_of if target not in taken_in)
+        self.rejected.update(rejected)
+        if self._sensor.uses_missed_detections:
             self._look_in_vain(pose, [place[target] for target in place if target not in z_of])
-        return Seen(updated=updated, appeared=appeared, refused=refused)
+        return Seen(updated=updated, appeared=appeared, rejected=rejected)
 
     def belief(self) -> Belief:
         """All beliefs as they are now: after `predict`, what a policy decides on."""
@@ -185,7 +186,7 @@ class Tracker:
         self._known_input = np.concatenate([self._known_input, np.zeros((1, self._known_input.shape[1]))])
 
     def _jumped(self, known: Sequence[Hashable], taken: np.ndarray) -> tuple[Hashable, ...]:
-        """Count refusals in a row; gives whom there have been enough of."""
+        """Count rejections in a row; gives whom there have been enough of."""
         for target, good in zip(known, taken, strict=True):
             if good:
                 self._in_a_row.pop(target, None)
@@ -238,7 +239,7 @@ class Tracker:
 @eqx.filter_jit
 def _unseen(view: FieldOfView, Z: Array, R: Array, t: Array, mean: Array, information: Array) -> belief.Belief:
     """One belief, one program for any number of targets."""
-    return given_unseen(belief.Belief(mean, information), Z, lambda points: view.contains((points - t) @ R))
+    return given_missed_detection(belief.Belief(mean, information), Z, lambda points: view.contains((points - t) @ R))
 
 
 def _traced(x: np.ndarray) -> Array:
@@ -252,5 +253,5 @@ def _array(x: Any) -> np.ndarray:
 def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(value, float)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name} = {array.tolist()}: expected {shape} finite numbers")
+        raise InputError(f"{name} = {array.tolist()}: expected {shape} finite numbers")
     return array

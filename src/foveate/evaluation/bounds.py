@@ -1,6 +1,6 @@
 """The two ends of every score: the floor, nothing ever seen, and the ceiling, a planner that knows the future.
 
-The omniscient planner knows where every target will really be and feels no noise. closeness = (score - floor) /
+The omniscient planner knows where every target will really be and feels no noise. normalised_score = (score - floor) /
 (omniscient - floor). Its plans are kept in the user's cache folder by the content of what they were made for.
 """
 
@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from foveate import __version__
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, Suite, policy_keys, rows_of
 from foveate.evaluation.summary import Summary
 from foveate.geometry.linalg import log_det_spd
@@ -78,7 +79,7 @@ def floor(problem: Problem, horizons: Sequence[int]) -> Float[np.ndarray, " epis
     return np.asarray(unseen, float)[np.asarray(horizons) - 1]
 
 
-def closeness(value: float, lowest: float, highest: float) -> float:
+def normalised_score(value: float, lowest: float, highest: float) -> float:
     """How far a score gets from the floor, never seeing anything (0), to the omniscient planner's (1)."""
     return (value - lowest) / (highest - lowest)
 
@@ -248,7 +249,7 @@ Cell = tuple[str, int]
 """Motion, number of targets."""
 
 
-def ceiling_rows(suite: Suite, protocol: str, report: Callable[[int], None] = lambda done: None) -> list[Row]:
+def oracle_rows(suite: Suite, protocol: str, report: Callable[[int], None] = lambda done: None) -> list[Row]:
     """The rows of the best plans with all known; taken from the user's cache folder where they were made before.
 
     `report` is called with the number of episodes that are done.
@@ -257,14 +258,14 @@ def ceiling_rows(suite: Suite, protocol: str, report: Callable[[int], None] = la
     return omniscient_rows(suite, protocol, plans)
 
 
-def floors(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
+def lower_bounds(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
     """The mean score of one who never sees anything [nat per target], for every cell of the scenes.
 
     Raises ValueError for a filter that learns from looking in vain: there this is no floor, and plans are no ceiling.
     """
-    if problem.sensor.uses_absence:
-        raise ValueError(
-            "sensor.absence = 'used': closeness is of a filter that learns from measurements alone: expected none"
+    if problem.sensor.uses_missed_detections:
+        raise InputError(
+            "sensor.missed_detections = 'used': normalised_score is of a filter that learns from measurements alone: expected none"
         )
     values: dict[Cell, list[float]] = {}
     for scene, value in zip(scenes, floor(problem, [scene.horizon for scene in scenes]), strict=True):
@@ -272,17 +273,17 @@ def floors(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
     return {cell: float(np.mean(found)) for cell, found in values.items()}
 
 
-def with_closeness(
+def with_normalised_scores(
     summary: Sequence[Summary], ceiling: Sequence[Summary], floors: Mapping[Cell, float]
 ) -> list[Summary]:
-    """The summaries with their closeness to the omniscient planner's; null where that has no rows, or sees nothing."""
+    """The summaries with their normalised_score to the omniscient planner's; null where that has no rows, or sees nothing."""
     best = {(cell.protocol, cell.motion, cell.targets): cell.mean for cell in ceiling}
 
     def judged(cell: Summary) -> Summary:
         lowest = floors[cell.motion, cell.targets]
         highest = best.get((cell.protocol, cell.motion, cell.targets), lowest)
         # A nat in ten thousand is what rounding makes of nothing.
-        value = closeness(cell.mean, lowest, highest) if highest - lowest > 1e-4 else None
-        return replace(cell, closeness=value)
+        value = normalised_score(cell.mean, lowest, highest) if highest - lowest > 1e-4 else None
+        return replace(cell, normalised_score=value)
 
     return [judged(cell) for cell in summary]

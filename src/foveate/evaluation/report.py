@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foveate.evaluation.bounds import ceiling_rows, floors, with_closeness
+from foveate.evaluation.bounds import lower_bounds, oracle_rows, with_normalised_scores
 from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
 from foveate.evaluation.summary import Summary, summarise, write_result
 from foveate.experiment.experiment import Experiment
@@ -56,15 +56,15 @@ def evaluate_all(
     protocols: Sequence[str],
     episodes: int = 1,
     seed: int = 0,
-    closeness: bool = False,
+    normalised: bool = False,
     quiet: bool = False,
 ) -> Evaluation:
     """Run every policy, by its method's name, on the same scenes with the same noise, under each protocol.
 
-    With `closeness` also the omniscient planner, whose plans take minutes, once. Raises ValueError where it has none.
+    With `normalised` also the omniscient planner, whose plans take minutes, once. Raises ValueError where it has none.
     """
     problem = experiment.scenario.problem()
-    floor = floors(problem, scenes) if closeness else {}
+    floor = lower_bounds(problem, scenes) if normalised else {}
     suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes)
     rows: list[Row] = []
     with Bar("evaluating", len(policies), "methods", quiet) as bar:
@@ -72,9 +72,9 @@ def evaluate_all(
             bar.update(done, name)
             rows += evaluate(suite, name, policy, protocols)
     summary = summarise(rows, problem.motion.state_size)
-    if closeness:
+    if normalised:
         ceiling = summarise(_ceiling(suite, protocols, quiet), problem.motion.state_size)
-        summary = with_closeness(summary, ceiling, floor)
+        summary = with_normalised_scores(summary, ceiling, floor)
     facts = {
         **facts,
         "experiment": digest(experiment),
@@ -101,14 +101,14 @@ def _ceiling(suite: Suite, protocols: Sequence[str], quiet: bool) -> list[Row]:
     total = len(suite.scenes) * suite.episodes_per_scene * len(protocols)
     with Bar("omniscient plans", total, "episodes", quiet) as bar:
         for protocol in protocols:
-            rows += ceiling_rows(suite, protocol, counting(bar, len(rows)))
+            rows += oracle_rows(suite, protocol, counting(bar, len(rows)))
     return rows
 
 
 def summary_table(title: str, summary: Sequence[Summary]) -> Table:
     """One line a cell."""
     header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "of the time")
-    close = ("closeness",) * any(cell.closeness is not None for cell in summary)
+    close = ("normalised",) * any(cell.normalised_score is not None for cell in summary)
     rows = [
         (
             cell.method,
@@ -124,7 +124,7 @@ def summary_table(title: str, summary: Sequence[Summary]) -> Table:
             f"{cell.rmse_m:.2f}",
             f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
             ", ".join("-" if nees is None else f"{nees:.1f}" for nees in (cell.nees_seen, cell.nees_unseen)),
-            *("-" if cell.closeness is None else f"{cell.closeness:.3f}" for _ in close),
+            *("-" if cell.normalised_score is None else f"{cell.normalised_score:.3f}" for _ in close),
         )
         for cell in summary
     ]

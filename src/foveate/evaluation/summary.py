@@ -28,7 +28,7 @@ class Summary:
     `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
     is where 95 % of such means lie if the filter's covariance is right. Of targets that were seen, and of those that
     never were, `rmse_.._m` is the mean over the episodes that have some, `nees_..` the mean over all of them; null
-    where there are none. `closeness`: how far the mean gets from the floor, never seeing anything (0), to the
+    where there are none. `normalised_score`: how far the mean gets from the floor, never seeing anything (0), to the
     omniscient planner's (1); null where that was not asked for.
     """
 
@@ -52,7 +52,7 @@ class Summary:
     nees_unseen: float | None
     nees_unseen_band: Band | None
     episodes: int
-    closeness: float | None = None
+    normalised_score: float | None = None
 
 
 def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:

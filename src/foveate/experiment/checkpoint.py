@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate import __version__
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.run_folder import BEST, CONFIG
 from foveate.io.npz import load_arrays, save_arrays
@@ -19,6 +20,9 @@ VERSION = 1
 
 
 T = TypeVar("T")
+
+RENAMED = {"returns": "rollbacks"}
+"""Arrays of earlier versions, as they are called now."""
 
 
 def save_tree(
@@ -45,18 +49,19 @@ def load_tree(path: Path, like: T, kind: str, content: str | None = None) -> tup
     or was saved by another experiment than the one whose digest `content` is given.
     """
     header, arrays = load_arrays(path, kind, VERSION)
+    arrays = {RENAMED.get(name, name): array for name, array in arrays.items()}
     if content is not None and header["experiment"] != content:
-        raise ValueError(
+        raise InputError(
             f"{path}: belongs to another experiment than the config.toml beside it, which was changed since"
         )
     wanted = _named(like)
     if missing := sorted(set(wanted) - set(arrays)):
-        raise ValueError(f"{path}: no array {missing[0]!r}: this checkpoint is of another network")
+        raise InputError(f"{path}: no array {missing[0]!r}: this checkpoint is of another network")
     if extra := sorted(set(arrays) - set(wanted)):
-        raise ValueError(f"{path}: array {extra[0]!r} has no place here: this checkpoint is of another network")
+        raise InputError(f"{path}: array {extra[0]!r} has no place here: this checkpoint is of another network")
     for name, array in wanted.items():
         if arrays[name].shape != array.shape:
-            raise ValueError(
+            raise InputError(
                 f"{path}: {name} has shape {arrays[name].shape}: expected {array.shape}, as config.toml says"
             )
     dynamic, static = eqx.partition(like, _is_array)
@@ -87,7 +92,7 @@ def load_run(run: Path) -> tuple[Experiment, Policy, dict[str, Any]]:
     Raises ValueError in one line where the folder is not a run or a file of it is not what it should be.
     """
     if not run.is_dir():
-        raise ValueError(
+        raise InputError(
             f"{run}: no such run folder: expected what `foveate train --out` wrote, or the name of a preset"
         )
     experiment, content = read_toml(Experiment, run / CONFIG)

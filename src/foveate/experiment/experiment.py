@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, fields, replace
 
+from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
@@ -29,7 +30,7 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
     """
     now = experiment.training
     if isinstance(learner, PPOSettings) and now.objective != "terminal":
-        raise ValueError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
+        raise InputError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
     names = [each.name for each in fields(LearningSettings)]
     shared = {name: getattr(now, name) for name in names if hasattr(now, name) and hasattr(learner, name)}
     if not isinstance(learner, PPOSettings):

@@ -3,15 +3,16 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from foveate.errors import InputError
 from foveate.io.validate import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
-from foveate.simulation.records import Back, Protocol
+from foveate.simulation.records import Backpropagation, Protocol
 
 Objective = Literal["terminal", "mean", "seen"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgedSettings:
+class ValidationSettings:
     """How a policy is judged while it learns, on `held_out` scenes that never train it, by the score of `select`; the
     best is kept.
     """
@@ -24,7 +25,7 @@ class JudgedSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LearningSettings(JudgedSettings):
+class LearningSettings(ValidationSettings):
     """What the learners of the soft view are after.
 
     `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: what is earned is the mean
@@ -38,7 +39,7 @@ class LearningSettings(JudgedSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.softness or min(kappa for _, kappa in self.softness) <= 0:
-            raise ValueError(f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0")
+            raise InputError(f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0")
 
     @property
     def protocol(self) -> Protocol:
@@ -54,13 +55,14 @@ class TrainingSettings(LearningSettings):
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
     or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
 
-    At most `together` episodes are simulated at once on each device (None: as have 256 targets on a CPU's core, more
+    At most `micro_batch` episodes are simulated at once on each device (None: as have 256 targets on a CPU's core, more
     elsewhere); this bounds memory, and changes rounding only. So does `segment`, for long horizons: of an episode only
     the states at the beginnings of so many steps at a time are remembered, and each segment is run again on the
     gradient's way back. With `window` the gradient is another one, bounded where horizons are long: it ends at every
     `window` steps, so that what a decision does is followed no further than to the end of its window.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"together": "micro_batch"}
     updates: ClassVar[int] = 1
     """Steps of Adam in an epoch."""
     epochs: int = 1000
@@ -73,13 +75,13 @@ class TrainingSettings(LearningSettings):
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
     check_every: int = 50
-    together: int | None = None
+    micro_batch: int | None = None
     segment: int | None = None
     window: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("together", "segment", "window"):
+        for name in ("micro_batch", "segment", "window"):
             value = getattr(self, name)
             require(value is None or value >= 1, name, value, "expected >= 1")
         for name in ("epochs", "episodes", "check_every"):
@@ -87,9 +89,9 @@ class TrainingSettings(LearningSettings):
         positive(self, "learning_rate", "gradient_bound")
 
     @property
-    def back(self) -> Back:
+    def back(self) -> Backpropagation:
         """How the gradient goes back through an episode."""
-        return Back(segment=self.segment, window=self.window)
+        return Backpropagation(segment=self.segment, window=self.window)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,17 +149,18 @@ class PPOSettings(LearningSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ActorCriticSettings(JudgedSettings):
+class ActorCriticSettings(ValidationSettings):
     """How a policy of modes is trained by trying: proximal policy optimisation on whole noisy episodes.
 
     An epoch plays `episodes` fresh episodes, shared out evenly among the `protocols`, with a mode drawn by its weight
-    and a Gaussian about its action, whose standard deviation falls linearly, epoch by epoch, from the first of `spread`
+    and a Gaussian about its action, whose standard deviation falls linearly, epoch by epoch, from the first of `action_std`
     towards the last, which it would reach after them;
     then Adam goes over all steps `passes` times in `minibatches` each. What is earned is the growth of log det per
     target ("terminal"), its mean over the steps ("mean") or the share of time in view ("seen"), undiscounted: nothing
     is worth anything after the horizon. Both learning rates fall to 0 as a cosine.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
     algorithm: Literal["actor-critic"]
     protocols: tuple[Literal["surrogate", "true"], ...] = ("true",)
     select: Literal["surrogate", "true"] = "true"
@@ -174,7 +177,7 @@ class ActorCriticSettings(JudgedSettings):
     """Of Adam, the critic's, at first."""
     gradient_bound: float = 0.5
     """Of a gradient's norm."""
-    spread: tuple[float, float] = (0.4, 0.06)
+    action_std: tuple[float, float] = (0.4, 0.06)
     gae_lambda: float = 0.95
     """Of generalised advantage estimation."""
     clip: float = 0.2
@@ -196,7 +199,7 @@ class ActorCriticSettings(JudgedSettings):
         require(shared, "episodes", self.episodes, right)
         positive(self, "learning_rate", "critic_learning_rate", "gradient_bound", "clip")
         not_negative(self, "entropy_weight")
-        require(min(self.spread) > 0, "spread", self.spread, "expected two standard deviations > 0")
+        require(min(self.action_std) > 0, "action_std", self.action_std, "expected two standard deviations > 0")
         require(0 <= self.gae_lambda <= 1, "gae_lambda", self.gae_lambda, "expected 0 to 1")
 
     @property

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from foveate.errors import InputError
 from foveate.experiment.experiment import REACH, Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.pointer import PointerSettings
@@ -42,7 +43,7 @@ PRESETS = {
             select="surrogate",
             epochs=400,
             episodes=384,
-            spread=(0.4, 0.04),
+            action_std=(0.4, 0.04),
         ),
     ),
     "true-view": Experiment(
@@ -52,7 +53,7 @@ PRESETS = {
     # Where first beliefs err by as much as they claim, going to where a target is believed to be does not find it.
     "search": Experiment(
         scenario=Scenario(
-            sensor=SensorSettings(absence="used"),
+            sensor=SensorSettings(missed_detections="used"),
             scenes=SceneSettings(initial_error="consistent"),
         ),
         policy=PointerSettings(kind="pointer"),
@@ -90,7 +91,7 @@ def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
     Raises ValueError for a preset that is not there.
     """
     if preset not in PRESETS:
-        raise ValueError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
+        raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
     base = PRESETS[preset]
     scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
     policy, training = replace(base.policy, length_m=scale * base.policy.length_m), base.training
@@ -120,7 +121,7 @@ def adjusted(
     """
     if algorithm is not None:
         if algorithm not in LEARNERS:
-            raise ValueError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
+            raise InputError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
         learner = LEARNERS[algorithm]
         # An experiment's own settings of the learner that is asked for stay, but for the tuned ones.
         if algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
@@ -132,6 +133,6 @@ def adjusted(
             continue
         if name not in counted:
             right = " or ".join(counted)
-            raise ValueError(f"{name} {value}: this algorithm does not count them: expected {right}")
+            raise InputError(f"{name} {value}: this algorithm does not count them: expected {right}")
         training = replace(training, **{name: value})
     return replace(experiment, training=training)

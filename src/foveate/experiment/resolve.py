@@ -10,12 +10,13 @@ from typing import Any, Literal
 
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import CONFIG
 from foveate.io.toml import load_toml
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenes import Scene, read_scenes
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import own_suite, table1
@@ -36,7 +37,7 @@ def run_folder(run: Name) -> Path:
     if str(run) in PRESETS and not (folder / CONFIG).is_file():
         return TRAINED / str(run)
     if not folder.is_dir():
-        raise ValueError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESETS)}")
+        raise InputError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESETS)}")
     return folder
 
 
@@ -64,7 +65,7 @@ def policy_of(run: Name, method: str, experiment: Experiment, box_world: Float[A
     if method == "policy":
         return load(run)[1]
     scenario = experiment.scenario
-    return handmade(method, scenario.problem(), float(scenario.view.depth_m), box_world)
+    return heuristic(method, scenario.problem(), float(scenario.view.depth_m), box_world)
 
 
 def scenes_of(name: Name | None, seed: int, experiment: Experiment) -> tuple[str, list[Scene]]:
@@ -77,5 +78,5 @@ def scenes_of(name: Name | None, seed: int, experiment: Experiment) -> tuple[str
     if chosen != "table1":
         return chosen, read_scenes(Path(chosen), problem.agent.space, settings)
     if not planar:
-        raise ValueError("scenes table1: the paper's suite is planar: give a scenes file, or own")
+        raise InputError("scenes table1: the paper's suite is planar: give a scenes file, or own")
     return chosen, table1(problem, seed)

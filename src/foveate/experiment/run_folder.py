@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.io.files import LOCK, is_temporary, read_text, write_atomic
@@ -21,7 +22,7 @@ METRICS = "metrics.jsonl"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
+class Validation:
     """One judgement of a policy in training, a line of `metrics.jsonl`.
 
     An epoch is one step of the policy gradient, or of PPO one rollout with all passes over it; `env_steps` is how many
@@ -49,7 +50,7 @@ class Outcome:
     epochs: int
     best_epoch: int
     best_score: float
-    returns: int
+    rollbacks: int
     stopped: str
 
 
@@ -67,7 +68,7 @@ def require_free(out: Path, experiment: Experiment) -> None:
     """Raise ValueError where a run, or something else, is there already."""
     if out.exists() and not _is_free(out):
         resume = "" if isinstance(experiment.training, PPOSettings) else f", or go on with --resume {out}"
-        raise ValueError(f"{out}: exists already: choose another --out{resume}")
+        raise InputError(f"{out}: exists already: choose another --out{resume}")
 
 
 def _is_free(out: Path) -> bool:
@@ -79,17 +80,17 @@ def _is_free(out: Path) -> bool:
     return set(inside) <= remains and all(path.stat().st_size == 0 for path in inside if path.name == METRICS)
 
 
-def read_checks(file: Path) -> list[Check]:
+def read_validations(file: Path) -> list[Validation]:
     """The checks of a `metrics.jsonl`; a last line that was cut while it was written is passed over."""
-    names, checks = {field.name for field in fields(Check)}, []
+    names, checks = {field.name for field in fields(Validation)}, []
     lines = [line for line in read_text(file, "metrics.jsonl of a run").splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):
         try:
             row = json.loads(line)
-            checks.append(Check(**{name: value for name, value in row.items() if name in names}))
+            checks.append(Validation(**{name: value for name, value in row.items() if name in names}))
         except (ValueError, TypeError, AttributeError):
             if number < len(lines):
-                raise ValueError(f"{file}: line {number}: not a check of a training") from None
+                raise InputError(f"{file}: line {number}: not a check of a training") from None
     if not checks:
-        raise ValueError(f"{file}: no check in it yet: expected at least one line")
+        raise InputError(f"{file}: no check in it yet: expected at least one line")
     return checks

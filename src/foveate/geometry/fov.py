@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
 from foveate.geometry.safe import length
 from foveate.types import Point, Scalar
 
@@ -67,7 +68,7 @@ def closed(points: np.ndarray) -> np.ndarray:
 def require(ok: bool | np.bool, name: str, value: object, right: str) -> None:
     """Raise a one-line ValueError that names the parameter, what it must be and its value, unless `ok`."""
     if not ok:
-        raise ValueError(f"{name} must be {right}, got {value!r}")
+        raise InputError(f"{name} must be {right}, got {value!r}")
 
 
 class HalfSpace(FieldOfView):

@@ -14,6 +14,8 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
+
 UNROLLED = 6
 """Largest size whose factorisation is written out."""
 
@@ -110,7 +112,7 @@ def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Arra
     matrix at a time.
     """
     if a.shape[-1] != b.shape[-2]:
-        raise ValueError(f"a product of {a.shape} and {b.shape}: expected as many columns as rows")
+        raise InputError(f"a product of {a.shape} and {b.shape}: expected as many columns as rows")
     if a.shape[-1] > UNROLLED:
         return jnp.matmul(a, b, precision="highest")
     rank, dtype = max(a.ndim, b.ndim), jnp.result_type(a, b)

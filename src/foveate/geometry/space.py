@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry import lie
 
 
@@ -68,15 +69,15 @@ def _checked(numbers: object, name: str, entries: str) -> np.ndarray:
     try:
         array = np.asarray(numbers)
     except ValueError as error:  # a ragged list
-        raise ValueError(f"{wanted}, got {numbers!r}") from error
+        raise InputError(f"{wanted}, got {numbers!r}") from error
     if array.dtype.kind not in "iuf" or array.shape != (entries.count(",") + 1,):
-        raise ValueError(f"{wanted}, got {numbers!r}")
+        raise InputError(f"{wanted}, got {numbers!r}")
     array = array.astype(np.float64)
     largest = jnp.finfo(jnp.result_type(float)).max  # a number too large for float32 would become inf
     wrong = ~(np.abs(array) <= largest)
     if wrong.any():
         entry = entries.strip("[]").split(", ")[int(np.argmax(wrong))]
-        raise ValueError(f"{wanted}, got {entry} = {array[np.argmax(wrong)]}")
+        raise InputError(f"{wanted}, got {entry} = {array[np.argmax(wrong)]}")
     return array
 
 
@@ -178,7 +179,7 @@ class Spatial(Space):
         array = _checked(numbers, self.name, "[x, y, z, qw, qx, qy, qz]")
         largest = np.max(np.abs(array[3:]))
         if largest == 0.0:
-            raise ValueError(f"{self.name} pose: quaternion [qw, qx, qy, qz] must not be zero, got {numbers!r}")
+            raise InputError(f"{self.name} pose: quaternion [qw, qx, qy, qz] must not be zero, got {numbers!r}")
         quaternion = jnp.asarray(array[3:] / largest, jnp.result_type(float))  # a tiny one must not underflow
         pose = self.identity().at[:3, :3].set(lie.rotation_quaternion(quaternion))
         return pose.at[:3, 3].set(jnp.asarray(array[:3], pose.dtype))

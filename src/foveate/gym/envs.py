@@ -19,6 +19,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from foveate.errors import InputError
 from foveate.gym.task import Task, TaskSettings, keys_of
 from foveate.scenario.scenario import Scenario
 
@@ -45,7 +46,7 @@ class TrackingEnv(gymnasium.Env):
         self, scenario: Scenario | str | Path = "paper", render_mode: str | None = None, **options: Any
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode = {render_mode!r}: expected None, 'rgb_array' or 'human'")
+            raise InputError(f"render_mode = {render_mode!r}: expected None, 'rgb_array' or 'human'")
         self._task = Task(TaskSettings(scenario, **options), 1, anew=False)
         self.observation_space, self.action_space = self._task.observation_space, self._task.action_space
         self.render_mode, self._over = render_mode, True
@@ -109,12 +110,12 @@ class TrackingVectorEnv(VectorEnv):
         **options: Any,
     ) -> None:
         if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: expected >= 1")
+            raise InputError(f"num_envs = {num_envs}: expected >= 1")
         if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: expected None here: render a single environment")
+            raise InputError(f"render_mode = {render_mode!r}: expected None here: render a single environment")
         modes = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
         if autoreset_mode not in (*modes, *(mode.value for mode in modes)):
-            raise ValueError(f"autoreset_mode = {autoreset_mode!r}: expected SAME_STEP or DISABLED")
+            raise InputError(f"autoreset_mode = {autoreset_mode!r}: expected SAME_STEP or DISABLED")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._anew = self.autoreset_mode == AutoresetMode.SAME_STEP
@@ -137,7 +138,7 @@ class TrackingVectorEnv(VectorEnv):
         else:
             seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
-            raise ValueError(f"seed has {len(seeds)} numbers: expected {self.num_envs}, one an environment")
+            raise InputError(f"seed has {len(seeds)} numbers: expected {self.num_envs}, one an environment")
         options, batch = options or {}, self._task.batch
         targets, mask = self._task.targets(options), self._mask(options)
         if batch.moments is None and not mask.all():
@@ -158,7 +159,7 @@ class TrackingVectorEnv(VectorEnv):
             return np.ones(self.num_envs, bool)
         if not isinstance(mask, np.ndarray) or mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             right = f"expected a numpy array of {self.num_envs} booleans, at least one of them true"
-            raise ValueError(f"options['reset_mask'] = {mask!r}: {right}")
+            raise InputError(f"options['reset_mask'] = {mask!r}: {right}")
         return mask
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:

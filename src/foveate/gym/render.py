@@ -6,7 +6,7 @@ import numpy as np
 
 from foveate.models.problem import Problem, first_information
 from foveate.plotting.animation import picture
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.simulation.batch import Batch
 
 
@@ -67,7 +67,7 @@ class Screen:
             plt.close(self._figure)
             self._figure = None
 
-    def _film(self) -> Film:
+    def _film(self) -> EpisodeData:
         """The whole episode, what has not happened yet as it is now: so that frame and axes stay where they are."""
         kept = self._steps + self._steps[-1:] * (self._horizon + 1 - len(self._steps))
         pose, mean, information, present, visible = (np.stack([step[name] for step in kept]) for name in kept[0])
@@ -75,7 +75,7 @@ class Screen:
         information = np.where(present[..., None, None], information, np.eye(mean.shape[-1]))
         truth = mean if self._truth is None else self._truth[: self._horizon + 1, self._columns]
         Z, outline = np.asarray(self._problem.motion.Z, float), self._problem.sensor.view.outline()
-        return Film(
+        return EpisodeData(
             title="",
             space=self._problem.agent.space,
             visible=visible[1:],

@@ -13,11 +13,12 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import Key
 
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import CONFIG
 from foveate.io.toml import load_toml
-from foveate.policies.inputs import Frame, Scale, Told, told
+from foveate.policies.inputs import Features, Frame, Scale, policy_features
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.batch import Batch, Programs
 from foveate.simulation.environment import Environment
@@ -39,7 +40,7 @@ def scenario_of(scenario: Scenario | str | Path) -> Scenario:
         path = path / CONFIG
     if not path.exists():
         known = ", ".join(PRESETS)
-        raise ValueError(f"scenario = {str(scenario)!r}: expected a preset ({known}), a TOML file or a run folder")
+        raise InputError(f"scenario = {str(scenario)!r}: expected a preset ({known}), a TOML file or a run folder")
     return load_toml(Experiment, path).scenario
 
 
@@ -75,9 +76,9 @@ class TaskSettings:
         }
         for name, known in choices.items():
             if getattr(self, name) not in known:
-                raise ValueError(f"{name} = {getattr(self, name)!r}: expected {' or '.join(map(repr, known))}")
+                raise InputError(f"{name} = {getattr(self, name)!r}: expected {' or '.join(map(repr, known))}")
         if self.length_m is not None and not self.length_m > 0:
-            raise ValueError(f"length_m = {self.length_m}: expected > 0")
+            raise InputError(f"length_m = {self.length_m}: expected > 0")
 
 
 @functools.lru_cache(maxsize=8)
@@ -86,8 +87,8 @@ def _programs(scenario: Scenario, protocol: str, noise: bool, look: tuple[Frame,
     problem, (frame, length_m, information) = scenario.problem(), look
     environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
 
-    def seen(observation: Observation, left: Scalar) -> Told:
-        return told(observation, left, problem.agent.space, frame, length_m, information)
+    def seen(observation: Observation, left: Scalar) -> Features:
+        return policy_features(observation, left, problem.agent.space, frame, length_m, information)
 
     return Programs(environment, seen, count)
 
@@ -98,7 +99,7 @@ class Task:
     def __init__(self, settings: TaskSettings, count: int, anew: bool) -> None:
         scenario = scenario_of(settings.scenario)
         if settings.frame == "body" and not scenario.problem().motion.begins_with_position:
-            raise ValueError("frame = 'body': expected targets whose state begins with the position: take 'world'")
+            raise InputError("frame = 'body': expected targets whose state begins with the position: take 'world'")
         length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m
         look = (settings.frame, length_m, settings.information)
         programs = _programs(scenario, settings.protocol, settings.noise, look, count)
@@ -107,7 +108,7 @@ class Task:
         self.observation_space = _space(programs.seen, settings.observation == "flat")
         self.action_space = spaces.Box(-1.0, 1.0, (self.batch.axes,), np.float32)
 
-    def shown(self, seen: Told, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:
+    def shown(self, seen: Features, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:
         """What is seen as the settings want it, of all environments or of one."""
         if self.settings.observation == "flat":
             parts = [x.reshape(len(x), -1) if index is None else x[index].ravel() for x in seen]
@@ -118,23 +119,23 @@ class Task:
         """How many targets each of the next episodes shall have, 0 where that is drawn. Raises ValueError for options
         that are not known, and numbers that the scenario does not allow."""
         if unknown := sorted(set(options) - {"targets", "reset_mask"}):
-            raise ValueError(f"options[{unknown[0]!r}]: expected 'targets', or 'reset_mask' of a vector environment")
+            raise InputError(f"options[{unknown[0]!r}]: expected 'targets', or 'reset_mask' of a vector environment")
         asked = options.get("targets")
         if asked is None:
             return np.zeros(self.batch.count, np.int32)
         low, high = self.scenes.targets_min, self.scenes.targets_max
         numbers = np.broadcast_to(np.asarray(asked), (self.batch.count,))
         if numbers.dtype.kind not in "iu" or not ((numbers >= low) & (numbers <= high)).all():
-            raise ValueError(f"options['targets'] = {asked!r}: expected whole numbers from {low} to {high}")
+            raise InputError(f"options['targets'] = {asked!r}: expected whole numbers from {low} to {high}")
         return numbers.astype(np.int32)
 
     def actions(self, actions: Any) -> np.ndarray:
         """Checked, with an axis of environments."""
         array, shape = np.asarray(actions, np.float32), (self.batch.count, self.batch.axes)
         if array.shape != shape:
-            raise ValueError(f"actions have shape {array.shape}: expected {shape}")
+            raise InputError(f"actions have shape {array.shape}: expected {shape}")
         if not np.isfinite(array).all():
-            raise ValueError("actions: expected finite numbers")
+            raise InputError("actions: expected finite numbers")
         return array
 
     def ends(self, done: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,7 +152,7 @@ def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Key[jax
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
-def _space(seen: Told, flat: bool) -> spaces.Space:
+def _space(seen: Features, flat: bool) -> spaces.Space:
     shapes: dict[str, tuple[int, ...]] = {name: x.shape[1:] for name, x in seen._asdict().items()}
     if flat:
         return _box((sum(map(math.prod, shapes.values())),))

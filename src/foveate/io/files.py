@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
+from foveate.errors import InputError
+
 try:
     import fcntl
 except ImportError:  # Windows
@@ -35,13 +37,13 @@ def cache_folder(name: str) -> Path:
 
 def file_error(path: str | Path, problem: str) -> ValueError:
     """The error about a file or a place in it, as one line that starts with its name."""
-    return ValueError(" ".join(f"{path}: {problem}".splitlines()))
+    return InputError(" ".join(f"{path}: {problem}".splitlines()))
 
 
 def write_atomic(path: str | Path, data: bytes) -> None:
     """Write `data` so that a crash leaves the old file or the new one, never a part.
 
-    Raises ValueError where `path` is a folder or its folder is missing, OSError naming `path` where the system refuses.
+    Raises ValueError where `path` is a folder or its folder is missing, OSError naming `path` where the system rejects.
     """
     target = Path(os.path.realpath(path))  # a link keeps pointing where it did
     if os.path.isdir(path):
@@ -197,7 +199,7 @@ def read_json(path: str | Path, what: str) -> Any:
     """The content of a JSON file. Raises ValueError where it is missing, cut short or not strict JSON."""
     text = read_text(path, what)
     try:
-        return json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
+        return json.loads(text, parse_constant=_reject_constant, parse_float=_finite)
     except json.JSONDecodeError as error:
         cut = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
         problem = "is empty or cut short" if cut else "is not JSON"
@@ -207,14 +209,14 @@ def read_json(path: str | Path, what: str) -> Any:
         raise file_error(path, f"is not a usable {what}: {error}") from error
 
 
-def _refuse_constant(name: str) -> NoReturn:
-    """Refuse NaN and the infinities, which Python's parser takes though JSON has none."""
-    raise ValueError(f"{name} is not JSON; use null where there is no number")
+def _reject_constant(name: str) -> NoReturn:
+    """Reject NaN and the infinities, which Python's parser takes though JSON has none."""
+    raise InputError(f"{name} is not JSON; use null where there is no number")
 
 
 def _finite(digits: str) -> float:
     """The number that `digits` say. Raises ValueError where it is too large for a float."""
     number = float(digits)
     if not math.isfinite(number):
-        raise ValueError(f"the number {digits:.40} is too large; give one below 1.8e308")
+        raise InputError(f"the number {digits:.40} is too large; give one below 1.8e308")
     return number

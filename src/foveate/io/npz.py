@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.io.files import check_format, file_error, read_bytes, write_atomic
 
 _HEADER = "header"
@@ -72,13 +73,13 @@ def _members(data: bytes) -> dict[str, np.ndarray]:
             name, suffix = member.filename[:-4], member.filename[-4:]
             # Stored only: no small file can then unpack to more than it is.
             if suffix != ".npy" or name in arrays or member.compress_type != zipfile.ZIP_STORED:
-                raise ValueError(f"strange member {member.filename!r}")
+                raise InputError(f"strange member {member.filename!r}")
             arrays[name] = np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
     return arrays
 
 
 def _check_header(path: str | Path, header: dict[str, Any]) -> None:
-    """Refuse a header that `load_arrays` would refuse."""
+    """Reject a header that `load_arrays` would reject."""
     kind, version = header.get("format"), header.get("version")
     if not isinstance(kind, str) or not kind.startswith("foveate-"):
         raise file_error(path, f"header format {kind!r}; wanted 'foveate-' and the kind of file")
@@ -89,7 +90,7 @@ def _check_header(path: str | Path, header: dict[str, Any]) -> None:
 
 
 def _check_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> None:
-    """Refuse arrays that would not come back as they are."""
+    """Reject arrays that would not come back as they are."""
     for name, array in arrays.items():
         if name == _HEADER or "\0" in name:
             raise file_error(path, f"an array cannot be named {name!r}; choose another name")

@@ -41,7 +41,7 @@ def from_table(cls: type[T], table: dict[str, Any], where: str) -> T:
 
     Raises ValueError of one line that names the source `where`, the dotted path of the key, its value and
     what would be right: for unknown, mistyped and missing keys, numbers that are not finite, and whatever
-    `__post_init__` refuses.
+    `__post_init__` rejects.
     """
     return _record(cls, table, _At(source=where))
 
@@ -70,6 +70,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
     """An instance of the dataclass `cls` from its table."""
     if not isinstance(table, dict):
         raise at.wrong(table, "wanted a table")
+    table = _with_new_names(cls, table, at)
     hints = get_type_hints(cls)
     known = {field.name: field for field in fields(cls) if field.init}
     for key in table:
@@ -86,6 +87,15 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
         return cls(**values)
     except ValueError as error:
         raise at.error(str(error)) from error
+
+
+def _with_new_names(cls: Any, table: dict[str, Any], at: _At) -> dict[str, Any]:
+    """The table with keys of earlier versions, which the ClassVar `RENAMED` of a dataclass lists, as they are now."""
+    renamed = getattr(cls, "RENAMED", {})
+    for old in table.keys() & renamed.keys():
+        if renamed[old] in table:
+            raise at.key(old).wrong(table[old], f"is the former name of {renamed[old]}: give one of them")
+    return {renamed.get(key, key): value for key, value in table.items()}
 
 
 def _value(hint: Any, value: Any, at: _At) -> Any:
@@ -219,7 +229,7 @@ def _shown(value: Any) -> str:
     """`value` as Python writes it, cut to a length that fits in a line."""
     try:
         text = repr(value)
-    except ValueError:  # Python refuses to print whole numbers of more than 4300 digits
+    except ValueError:  # Python rejects to print whole numbers of more than 4300 digits
         return "a number of thousands of digits"
     except RecursionError:
         return "a table in a table, hundreds deep"

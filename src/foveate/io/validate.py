@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from foveate.errors import InputError
+
 LEAST, MOST = 1e-18, 1e12
 
 
@@ -14,7 +16,7 @@ Matrix = tuple[tuple[float, ...], ...]
 def require(condition: bool, name: str, value: object, right: str) -> None:
     """Raise ValueError unless the condition holds."""
     if not condition:
-        raise ValueError(f"{name} = {value!r}: {right}")
+        raise InputError(f"{name} = {value!r}: {right}")
 
 
 def positive(settings: object, *names: str) -> None:
@@ -32,7 +34,7 @@ def not_negative(settings: object, *names: str) -> None:
 def seed_number(seed: int, name: str) -> None:
     """Raise ValueError for a seed that is no seed."""
     if not 0 <= seed < 2**32:
-        raise ValueError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
+        raise InputError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
 def representable(settings: Any, path: str = "", least: float = LEAST) -> None:

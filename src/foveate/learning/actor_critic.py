@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, Objective
 from foveate.geometry.linalg import log_det_spd
 from foveate.learning.learner import Learner, Report
@@ -72,7 +73,7 @@ class Samples(NamedTuple):
 def begin(problem: Problem, policy: Policy, settings: ActorCriticSettings, key: Key) -> Learner:
     """A learner before its first epoch, with a fresh critic. Raises ValueError for a policy without modes."""
     if not isinstance(policy, PointerPolicy):
-        raise ValueError(
+        raise InputError(
             "training.algorithm = 'actor-critic': expected policy.kind = 'pointer', which has modes to try"
         )
     width, embedding = CRITIC_WIDTH, CRITIC_QUERIES * CRITIC_WIDTH
@@ -99,9 +100,9 @@ def optimizer(settings: ActorCriticSettings) -> optax.GradientTransformation:
     return optax.partition(rules, ("policy", "critic"))
 
 
-def log_density(modes: Modes, action: Action, spread: Scalar) -> Scalar:
-    """log of the mixture's density at an action, up to a constant that `spread` alone decides."""
-    away = jnp.sum((action - modes.action) ** 2, axis=-1) / (2.0 * spread**2)
+def log_density(modes: Modes, action: Action, action_std: Scalar) -> Scalar:
+    """log of the mixture's density at an action, up to a constant that `action_std` alone decides."""
+    away = jnp.sum((action - modes.action) ** 2, axis=-1) / (2.0 * action_std**2)
     return jax.nn.logsumexp(jax.nn.log_softmax(modes.log_weight) - away)
 
 
@@ -128,7 +129,7 @@ def tries(
     episode: Episode,
     protocol: Protocol,
     objective: Objective,
-    spread: Scalar,
+    action_std: Scalar,
     key: Key,
 ) -> Tries:
     """Play one episode, a mode drawn by its weight and a Gaussian about its action at every step."""
@@ -139,9 +140,9 @@ def tries(
         observation = observe(predicted, instant.known_input, episode.horizon)
         modes = policy.modes(observation)
         mean = modes.action[jax.random.categorical(mode_key, modes.log_weight)]
-        action = mean + spread * jax.random.normal(noise_key, mean.shape)
+        action = mean + action_std * jax.random.normal(noise_key, mean.shape)
         state, visible, _ = act(problem, protocol, predicted, instant, jnp.clip(action, -1.0, 1.0))
-        kept = observation, action, log_density(modes, action, spread)
+        kept = observation, action, log_density(modes, action, action_std)
         return state, (*kept, jnp.mean(log_det_spd(state.information), axis=0), visible)
 
     first = start(problem, episode, protocol)
@@ -166,7 +167,12 @@ def advantages(
 
 
 def gather(
-    problem: Problem, scenes: SceneSettings, settings: ActorCriticSettings, learner: Learner, spread: Scalar, key: Key
+    problem: Problem,
+    scenes: SceneSettings,
+    settings: ActorCriticSettings,
+    learner: Learner,
+    action_std: Scalar,
+    key: Key,
 ) -> tuple[Samples, Scalar]:
     """Play a batch of fresh episodes; all their steps in a row, and what the episodes were worth in the mean."""
     policy, critic = _networks(learner)
@@ -176,7 +182,7 @@ def gather(
 
         def play(scene_key, try_key, protocol=PROTOCOLS[name]):
             episode = training_episode(problem, scenes, scene_key, noise=True)
-            return tries(problem, policy, episode, protocol, settings.objective, spread, try_key)
+            return tries(problem, policy, episode, protocol, settings.objective, action_std, try_key)
 
         played.append(jax.vmap(play)(jax.random.split(scene_key, share), jax.random.split(try_key, share)))
     every: Tries = jax.tree.map(lambda *parts: jnp.concatenate(parts), *played)
@@ -193,14 +199,16 @@ def gather(
 
 def _networks(learner: Learner) -> tuple[PointerPolicy, Critic]:
     """Policy and critic of a learner that `begin` made."""
-    assert isinstance(learner.policy, PointerPolicy), "begin refuses others"
+    assert isinstance(learner.policy, PointerPolicy), "begin rejects others"
     return learner.policy, learner.critic
 
 
-def loss(policy: PointerPolicy, critic: Critic, rows: Samples, spread: Scalar, settings: ActorCriticSettings) -> Scalar:
+def loss(
+    policy: PointerPolicy, critic: Critic, rows: Samples, action_std: Scalar, settings: ActorCriticSettings
+) -> Scalar:
     """The clipped surrogate loss of PPO, the choice's entropy, and the critic's squared error, over rows that count."""
     modes = jax.vmap(policy.modes)(rows.observation)
-    ratio = jnp.exp(jax.vmap(log_density, (0, 0, None))(modes, rows.action, spread) - rows.log_density)
+    ratio = jnp.exp(jax.vmap(log_density, (0, 0, None))(modes, rows.action, action_std) - rows.log_density)
     bounded = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
     gain = jnp.minimum(ratio * rows.advantage, bounded * rows.advantage)
     error = jax.vmap(critic)(rows.observation) - rows.earned
@@ -213,9 +221,9 @@ def epoch(
 ) -> tuple[Learner, Report]:
     """Play a batch and go over it `passes` times; the chance of epoch i comes from (key, i) alone."""
     play_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
-    first, last = settings.spread
-    spread = first + (last - first) * learner.epoch / settings.epochs
-    samples, earned = gather(problem, scenes, settings, learner, spread, play_key)
+    first, last = settings.action_std
+    action_std = first + (last - first) * learner.epoch / settings.epochs
+    samples, earned = gather(problem, scenes, settings, learner, action_std, play_key)
     parameters, rest = eqx.partition(_networks(learner), eqx.is_inexact_array)
     # In each pass rows that count come first, in a new order; a minibatch has one size, whatever the batch.
     steps = math.ceil(settings.episodes * scenes.mean_horizon)
@@ -223,7 +231,7 @@ def epoch(
 
     def cost(parameters, rows):
         policy, critic = eqx.combine(parameters, rest)
-        return loss(policy, critic, rows, spread, settings)
+        return loss(policy, critic, rows, action_std, settings)
 
     def update(i, carry):
         parameters, state, largest = carry

@@ -20,6 +20,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
+from foveate.errors import InputError
+
 AXIS = "episodes"
 
 
@@ -38,7 +40,7 @@ class ProcessLost(Exception):
     """Another process of this training is gone."""
 
 
-class Shares(NamedTuple):
+class Sharding(NamedTuple):
     """How a batch is shared out: `rounds` in turn, in each of them `size` episodes on each of so many devices."""
 
     devices: int
@@ -65,19 +67,19 @@ def cores() -> int:
     return count if quota == "max" else max(1, min(count, round(int(quota) / int(period))))
 
 
-def shared_out(episodes: int, together: int) -> Shares:
-    """How a batch is shared out, at most `together` episodes at once on a device.
+def sharded(episodes: int, micro_batch: int) -> Sharding:
+    """How a batch is shared out, at most `micro_batch` episodes at once on a device.
 
     On the cores of one machine no number of episodes depends on how many cores there are, so that sums do not, either.
     """
     devices = jax.device_count()
     if jax.default_backend() == "cpu" and jax.process_count() == 1:
-        parts = math.ceil(episodes / together)
+        parts = math.ceil(episodes / micro_batch)
         devices = min(devices, parts)
-        return Shares(devices, math.ceil(parts / devices), math.ceil(episodes / parts))
+        return Sharding(devices, math.ceil(parts / devices), math.ceil(episodes / parts))
     share = math.ceil(episodes / devices)
-    rounds = math.ceil(share / together)
-    return Shares(devices, rounds, math.ceil(share / rounds))
+    rounds = math.ceil(share / micro_batch)
+    return Sharding(devices, rounds, math.ceil(share / rounds))
 
 
 def join(coordinator: str, processes: int | None, process_id: int | None) -> None:
@@ -93,7 +95,7 @@ def join(coordinator: str, processes: int | None, process_id: int | None) -> Non
     try:
         jax.distributed.initialize(**given, heartbeat_timeout_seconds=HEARTBEAT_S, initialization_timeout=120)
     except (RuntimeError, ValueError) as error:
-        raise ValueError(f"--coordinator {coordinator}: {str(error).splitlines()[0]}") from error
+        raise InputError(f"--coordinator {coordinator}: {str(error).splitlines()[0]}") from error
 
 
 def mesh(devices: int) -> Mesh:
@@ -101,7 +103,7 @@ def mesh(devices: int) -> Mesh:
     return jax.make_mesh((devices,), (AXIS,), axis_types=(AxisType.Auto,), devices=jax.devices()[:devices])
 
 
-def on_all(program: Callable[..., T], devices: int) -> Callable[..., T]:
+def on_all_devices(program: Callable[..., T], devices: int) -> Callable[..., T]:
     """A compiled program whose arguments, the same in every process, are put on so many devices, and whose results
     are taken from one of this process. The program itself where there is but one device.
 

@@ -13,22 +13,22 @@ import numpy as np
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PyTree
 
-from foveate.learning.devices import AXIS, mesh, shared_out
+from foveate.learning.devices import AXIS, mesh, sharded
 from foveate.types import Scalar
 
 Cost = Callable[[Any, Any], Scalar]
 """What an episode costs under these parameters; the second argument is all that differs between episodes."""
 
 
-def mean_and_gradient(cost: Cost, parameters: PyTree, episodes: PyTree, together: int) -> tuple[Scalar, PyTree]:
+def mean_and_gradient(cost: Cost, parameters: PyTree, episodes: PyTree, micro_batch: int) -> tuple[Scalar, PyTree]:
     """The mean of `cost` over the leading axis of `episodes`, and its gradient with respect to `parameters`.
 
-    At most `together` episodes are worked on at once by each device. How a batch is cut up changes rounding only. The
+    At most `micro_batch` episodes are worked on at once by each device. How a batch is cut up changes rounding only. The
     cores of one machine cut it up alike and add up in one order however many they are: the same numbers, as long as XLA
     does not cut up single products by the number of cores, as it does from some 1,000 rows on.
     """
     count = len(jax.tree.leaves(episodes)[0])
-    devices, rounds, size = shared_out(count, together)
+    devices, rounds, size = sharded(count, micro_batch)
     row = np.arange(rounds * devices * size).reshape(rounds, devices, size)
     # What is left over is filled up with episodes that count nothing.
     cut = jax.tree.map(lambda x: x[np.minimum(row, count - 1)], episodes)

@@ -10,18 +10,19 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import VERSION, load_tree, save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings, PPOSettings, TrainingSettings
-from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, Check, Outcome, claim
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, Outcome, Validation, claim
 from foveate.io.files import read_text, write_atomic
 from foveate.io.npz import load_arrays
 from foveate.io.toml import load_toml, read_toml
 from foveate.learning import actor_critic, policy_gradient
-from foveate.learning.devices import agreed, on_all, shared_out
+from foveate.learning.devices import agreed, on_all_devices, sharded
 from foveate.learning.learner import Learner, Report, epochs
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import held_out_episodes, judge, write_check
+from foveate.learning.validation import held_out_episodes, judge, write_validation
 from foveate.models.problem import Problem
 from foveate.policies.pointer import PointerPolicy
 from foveate.simulation.records import Policy
@@ -43,13 +44,13 @@ COLLAPSED_SCORE = 1.0
 
 COLLAPSED_SEEN = 0.5
 """A held-out score this far [nat per target] below its best, or this share of the best time in view, for
-COLLAPSED_CHECKS checks in a row, is a collapse."""
+COLLAPSED_VALIDATIONS checks in a row, is a collapse."""
 
 
-COLLAPSED_CHECKS = 10
+COLLAPSED_VALIDATIONS = 10
 
 
-RETURNS = 3
+ROLLBACKS = 3
 """How often a collapsed training goes back to its best before it gives up."""
 
 
@@ -61,7 +62,7 @@ class Progress(eqx.Module):
     best_score: jax.Array
     best_epoch: jax.Array
     below: jax.Array
-    returns: jax.Array
+    rollbacks: jax.Array
 
 
 @jax.default_matmul_precision("highest")  # accelerators round factors to 10 bits by themselves
@@ -70,7 +71,7 @@ def train(
     out: Path,
     seed: int = 0,
     resume: bool = False,
-    report: Callable[[Check, int], None] = lambda check, total: None,
+    report: Callable[[Validation, int], None] = lambda check, total: None,
 ) -> Outcome:
     """Train a policy into the run folder `out`; `report` is called at every check.
 
@@ -79,7 +80,7 @@ def train(
     """
     problem, training = experiment.scenario.problem(), experiment.training
     if isinstance(training, PPOSettings):
-        raise ValueError(f"training.algorithm = {training.algorithm!r}: expected one that learns here")
+        raise InputError(f"training.algorithm = {training.algorithm!r}: expected one that learns here")
     keys = jax.random.split(jax.random.key(seed), 4)
     learner = _begin(problem, experiment.policy.policy(problem, keys[0]), training, keys[0])
     if not resume:
@@ -105,7 +106,7 @@ def train(
             finite = bool(numbers.finite) and jnp.isfinite(score)
             progress, event, stopped = _next(progress, learner, score, at_limit, bool(finite), training)
             now = time.perf_counter()
-            check = Check(
+            check = Validation(
                 epoch=int(learner.epoch),
                 objective=float(numbers.objective),
                 gradient_norm=float(numbers.gradient_norm),
@@ -123,7 +124,7 @@ def train(
         epochs=int(progress.learner.epoch),
         best_epoch=int(progress.best_epoch),
         best_score=float(progress.best_score),
-        returns=int(progress.returns),
+        rollbacks=int(progress.rollbacks),
         stopped=stopped,
     )
 
@@ -133,7 +134,7 @@ def _begin(problem: Problem, policy: Policy, training: Learning, key: Key) -> Le
     if isinstance(training, ActorCriticSettings):
         return actor_critic.begin(problem, policy, training, jax.random.fold_in(key, 1))
     if isinstance(policy, PointerPolicy):
-        raise ValueError("policy.kind = 'pointer': expected training.algorithm = 'actor-critic', which tries its modes")
+        raise InputError("policy.kind = 'pointer': expected training.algorithm = 'actor-critic', which tries its modes")
     return policy_gradient.begin(policy, training)
 
 
@@ -156,10 +157,10 @@ def advance_of(experiment: Experiment, problem: Problem) -> Callable:
     if not isinstance(training, TrainingSettings):
         # Learning by trying is not shared out: it runs on one device.
         return eqx.filter_jit(several)
-    together = policy_gradient.together(training, scenes)
-    devices = shared_out(training.episodes, together).devices
+    micro_batch = policy_gradient.micro_batch_size(training, scenes)
+    devices = sharded(training.episodes, micro_batch).devices
     options = QUICKLY if problem.agent.space.dimension == 2 else {}
-    return on_all(jax.jit(several, compiler_options=options), devices)
+    return on_all_devices(jax.jit(several, compiler_options=options), devices)
 
 
 def _is_low(score: float, best: float, objective: str) -> bool:
@@ -184,33 +185,33 @@ def _next(
     if score > float(progress.best_score) and not (at_limits and learned):
         zero = jnp.zeros((), int)
         best = (learner, learner, jnp.array(score), learner.epoch, zero)
-        return Progress(*best, progress.returns), "", ""
+        return Progress(*best, progress.rollbacks), "", ""
     below = int(progress.below) + 1 if _is_low(score, float(progress.best_score), training.objective) else 0
-    if not at_limits and below < COLLAPSED_CHECKS:
-        held = (progress.best, progress.best_score, progress.best_epoch, jnp.array(below), progress.returns)
+    if not at_limits and below < COLLAPSED_VALIDATIONS:
+        held = (progress.best, progress.best_score, progress.best_epoch, jnp.array(below), progress.rollbacks)
         return Progress(learner, *held), "", ""
     why = f"{at_limit:.0%} of commands at a limit" if at_limits else f"held-out score {score:.2f} for {below} checks"
-    if int(progress.returns) == RETURNS:
+    if int(progress.rollbacks) == ROLLBACKS:
         return (
             progress,
             "collapse",
-            f"epoch {int(learner.epoch)}: collapsed ({why}) once more after {RETURNS} returns to the best",
+            f"epoch {int(learner.epoch)}: collapsed ({why}) once more after {ROLLBACKS} rollbacks to the best",
         )
     # The epoch goes on counting, so that the way back is walked on other scenes and the learning rate stays low.
     done = (learner.epoch * training.updates).astype(jnp.int32)
     count = optax.tree.set(progress.best.optimizer, count=done)
     back = eqx.tree_at(lambda best: (best.optimizer, best.epoch), progress.best, (count, learner.epoch))
-    held = (progress.best, progress.best_score, progress.best_epoch, jnp.zeros((), int), progress.returns + 1)
+    held = (progress.best, progress.best_score, progress.best_epoch, jnp.zeros((), int), progress.rollbacks + 1)
     return Progress(back, *held), f"collapse ({why}): back to epoch {int(progress.best_epoch)}", ""
 
 
 def stored_run(run: Path) -> tuple[Experiment, int]:
     """The experiment and the seed that a run folder was trained with, to go on with it."""
     if not (run / CONFIG).exists():
-        raise ValueError(f"{run}: holds no training to go on with: begin one, with --out {run}")
+        raise InputError(f"{run}: holds no training to go on with: begin one, with --out {run}")
     experiment = load_toml(Experiment, run / CONFIG)
     if isinstance(experiment.training, PPOSettings):
-        raise ValueError(f"{run}: was trained by PPO, which does not go on where it stopped: train anew")
+        raise InputError(f"{run}: was trained by PPO, which does not go on where it stopped: train anew")
     header, _ = load_arrays(run / LAST, "training", VERSION)
     return experiment, int(header["facts"]["seed"])
 
@@ -219,10 +220,10 @@ def _resumed(out: Path, experiment: Experiment, seed: int, like: Progress) -> tu
     """Where a training was, how long it took so far, and the digest of its config.toml."""
     stored, content = read_toml(Experiment, out / CONFIG)
     if stored != experiment:
-        raise ValueError(f"{out}: was begun with another experiment: expected that of its {CONFIG}")
+        raise InputError(f"{out}: was begun with another experiment: expected that of its {CONFIG}")
     progress, facts = load_tree(out / LAST, like, "training", content)
     if facts["seed"] != seed:
-        raise ValueError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
+        raise InputError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
     lines = read_text(out / METRICS, "metrics of a run").splitlines()
     epochs = [_epoch_of(out, lines, i) for i in range(len(lines))]
     kept = [line for line, epoch in zip(lines, epochs, strict=True) if epoch <= int(progress.learner.epoch)]
@@ -236,12 +237,18 @@ def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
         return int(json.loads(lines[i])["epoch"])
     except (ValueError, KeyError, TypeError) as error:
         if i < len(lines) - 1:
-            raise ValueError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to go on without it") from error
+            raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to go on without it") from error
         return float("inf")
 
 
 def _keep(
-    out: Path, experiment: Experiment, seed: int, progress: Progress, check: Check, events: Events, content: str | None
+    out: Path,
+    experiment: Experiment,
+    seed: int,
+    progress: Progress,
+    check: Validation,
+    events: Events,
+    content: str | None,
 ) -> None:
     facts = {"seed": seed, "epoch": check.epoch, "elapsed_s": check.elapsed_s}
     if check.best:
@@ -249,5 +256,5 @@ def _keep(
         best = {"seed": seed, "epoch": check.epoch, "held_out": check.held_out}
         save_tree(out / BEST, progress.best.policy, experiment, "policy", best, content)
     # The last file decides how far the training is: killed before it is there, all that was written is written again.
-    write_check(out, check, events)
+    write_validation(out, check, events)
     save_tree(out / LAST, progress, experiment, "training", facts, content)

@@ -43,9 +43,9 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
     return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int))
 
 
-def together(settings: TrainingSettings, scenes: SceneSettings) -> int:
+def micro_batch_size(settings: TrainingSettings, scenes: SceneSettings) -> int:
     """Episodes that a device works on at once: as many as asked for, or as have so many targets as it holds best."""
-    return settings.together or max(1, TARGETS.get(jax.default_backend(), OTHERWISE) // scenes.targets_max)
+    return settings.micro_batch or max(1, TARGETS.get(jax.default_backend(), OTHERWISE) // scenes.targets_max)
 
 
 def objective(
@@ -75,7 +75,7 @@ def epoch(
         episode = training_episode(problem, scenes, keys[0], settings.noise)
         return -objective(problem, eqx.combine(parameters, rest), episode, settings, keys[1])
 
-    value, gradient = mean_and_gradient(loss, parameters, keys, together(settings, scenes))
+    value, gradient = mean_and_gradient(loss, parameters, keys, micro_batch_size(settings, scenes))
     norm = optax.tree.norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
     policy = eqx.apply_updates(learner.policy, updates)

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry import lie
 from foveate.geometry.linalg import inverse_spd, log_det_spd
 from foveate.models.belief import predict_information
@@ -56,11 +57,11 @@ def policy_gradient(
     that keeps a memory.
     """
     if problem.agent.space.dimension != 3:
-        raise ValueError(
+        raise InputError(
             "Proposition 1 is stated for SE(3): lift a planar problem first (foveate.simulation.planar_in_space)"
         )
     if episode.truth is not None or episode.arrivals is not None:
-        raise ValueError("Proposition 1 supposes a noise-free episode: expected neither truth nor arrivals")
+        raise InputError("Proposition 1 supposes a noise-free episode: expected neither truth nor arrivals")
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
     theta, restore = ravel_pytree(parameters)
 
@@ -68,7 +69,7 @@ def policy_gradient(
         policy = eqx.combine(restore(theta), rest)
         memory = policy.start(observation)
         if jax.tree.leaves(memory):
-            raise ValueError("Proposition 1 is stated for u = pi(s): expected a policy without memory")
+            raise InputError("Proposition 1 is stated for u = pi(s): expected a policy without memory")
         return problem.agent.twist(policy(observation, memory, jax.random.key(0))[0])
 
     def step(now: Sensitivity, k: Array) -> tuple[Sensitivity, None]:

@@ -4,18 +4,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from foveate.errors import InputError
+
 if TYPE_CHECKING:
     import threading
     from collections.abc import Iterator
     from types import FrameType
 
     from foveate.experiment.experiment import Experiment
-    from foveate.experiment.run_folder import Check, Outcome
+    from foveate.experiment.run_folder import Outcome, Validation
 from collections.abc import Callable
 
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
-from foveate.experiment.run_folder import CONFIG, Check, Outcome, require_free
+from foveate.experiment.run_folder import CONFIG, Outcome, Validation, require_free
 from foveate.io.files import LOCK, sole_writer
 from foveate.io.progress import Bar
 from foveate.learning import loop as training
@@ -33,7 +35,7 @@ def train_watched(
     total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
     with Bar(f"training {name}", total, unit, quiet) as bar, _patience(bar, not by_ppo) as asked:
 
-        def report(check: "Check", _: int) -> None:
+        def report(check: "Validation", _: int) -> None:
             done, rate = check.epoch, check.epochs_per_s
             if by_ppo:
                 done, rate = check.env_steps, check.epochs_per_s * check.env_steps / check.epoch
@@ -77,7 +79,7 @@ def train(
     out: Path,
     seed: int = 0,
     resume: bool = False,
-    report: Callable[[Check, int], None] = lambda check, total: None,
+    report: Callable[[Validation, int], None] = lambda check, total: None,
 ) -> Outcome:
     """Train a policy into the run folder `out` by the experiment's own algorithm; `report` is called at every check.
 
@@ -86,9 +88,9 @@ def train(
     """
     by_ppo = isinstance(experiment.training, PPOSettings)
     if resume and by_ppo:
-        raise ValueError(f"{out}: PPO cannot go on where it was: train it anew")
+        raise InputError(f"{out}: PPO cannot go on where it was: train it anew")
     if resume and not (out / CONFIG).exists():
-        raise ValueError(f"{out}: holds no training to go on with: begin one there")
+        raise InputError(f"{out}: holds no training to go on with: begin one there")
     if not resume:
         require_free(out, experiment)
         out.mkdir(parents=True, exist_ok=True)
@@ -98,7 +100,7 @@ def train(
                 return ppo.train(experiment, out, seed, report)
             return training.train(experiment, out, seed, resume, report)
         except ValueError:
-            if [path.name for path in out.iterdir()] == [LOCK]:  # refused before anything was written
+            if [path.name for path in out.iterdir()] == [LOCK]:  # rejected before anything was written
                 (out / LOCK).unlink()
                 out.rmdir()
             raise

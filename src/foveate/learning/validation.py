@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from foveate.experiment.experiment import Experiment
-from foveate.experiment.run_folder import METRICS, Check
+from foveate.experiment.run_folder import METRICS, Validation
 from foveate.io.files import append_line
 from foveate.learning.objective import episode_score
 from foveate.learning.tensorboard import Events
@@ -46,7 +46,7 @@ def judge(
     return jnp.mean(score), jnp.mean(at_limit, where=counts)
 
 
-def write_check(out: Path, check: Check, events: Events) -> None:
+def write_validation(out: Path, check: Validation, events: Events) -> None:
     """Append a check to the metrics and the TensorBoard events of a run."""
     facts = {name: value if _is_json(value) else None for name, value in asdict(check).items()}
     append_line(out / METRICS, json.dumps(facts))

@@ -1,4 +1,4 @@
-"""Measurements that a belief cannot believe: refused by a chi-square gate, until there are many in a row.
+"""Measurements that a belief cannot believe: rejected by a chi-square gate, until there are many in a row.
 
 The squared Mahalanobis distance of an honest measurement to its prediction is chi-square with as many degrees of
 freedom as it has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from scipy.special import gammaincinv
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.belief import Belief
 
@@ -16,7 +17,7 @@ GATE = 0.9999
 
 
 RESTART_AFTER = 5
-"""The last of so many refusals in a row is taken, and the belief begins anew with it: the target has really jumped."""
+"""The last of so many rejections in a row is taken, and the belief begins anew with it: the target has really jumped."""
 
 
 def gate_limit(probability: float | None, size: int) -> float | None:
@@ -27,7 +28,7 @@ def gate_limit(probability: float | None, size: int) -> float | None:
     if probability is None:
         return None
     if not 0 < probability < 1:
-        raise ValueError(f"gate = {probability}: expected a probability between 0 and 1, or None")
+        raise InputError(f"gate = {probability}: expected a probability between 0 and 1, or None")
     # The quantile of chi-square; scipy.stats, which has it by name, takes half a second to import.
     return 2.0 * float(gammaincinv(size / 2.0, probability))
 

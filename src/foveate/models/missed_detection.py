@@ -49,7 +49,7 @@ def standard_points(
     return np.linalg.solve(np.linalg.cholesky(points.T @ (weights[:, None] * points)), points.T).T, weights
 
 
-def given_unseen(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
+def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
     """The Gaussian with mean and covariance of N(mu, C) given that the position Z y is not inside, as `is_inside` says
     of positions in the world [m].
 

@@ -35,8 +35,8 @@ class Sensor(eqx.Module):
 
     H (n_z, n_y); V (n_z, n_z) covariance of the noise [m^2], given in `frame`. In the body frame it turns with the
     agent, V_world = R V R^T (then n_z = d). The noise's standard deviation grows with the range r [m] to the
-    target by the factor 1 + range_growth r. With `uses_absence` the filter that really runs also learns from not seeing
-    a target (see `models.absence`).
+    target by the factor 1 + range_growth r. With `uses_missed_detections` the filter that really runs also learns from not seeing
+    a target (see `models.missed_detection`).
     """
 
     H: Float[Array, "n_z n_y"]
@@ -44,7 +44,7 @@ class Sensor(eqx.Module):
     view: FieldOfView
     range_growth: float = eqx.field(static=True, default=0.0)
     frame: Literal["world", "body"] = eqx.field(static=True, default="world")
-    uses_absence: bool = eqx.field(static=True, default=False)
+    uses_missed_detections: bool = eqx.field(static=True, default=False)
 
     def covariance(self, rotation: Float[Array, "d d"], point_body: Float[Array, " d"]) -> Float[Array, "n_z n_z"]:
         """V in the world frame for a target at `point_body` [m]; `rotation` is the agent's, body to world."""

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models import belief
 from foveate.models.problem import Problem
@@ -44,7 +45,7 @@ def final_log_det(
 ) -> Float[Array, " n"]:
     """log det Y at the horizon of every target. Raises ValueError for a problem that changes from step to step."""
     if problem.schedule is not None:
-        raise ValueError("the scenario has a schedule: plans know steps of one kind only: leave [schedule] out")
+        raise InputError("the scenario has a schedule: plans know steps of one kind only: leave [schedule] out")
     agent, sensor = problem.agent, problem.sensor
 
     def move(pose, action):

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.information import Future, score
@@ -44,13 +45,13 @@ class PlanSettings:
     def __post_init__(self) -> None:
         for name, least in (("starts", 1), ("iterations", 0), ("annealed", 0)):
             if getattr(self, name) < least:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected >= {least}")
+                raise InputError(f"{name} = {getattr(self, name)}: expected >= {least}")
         for name in ("learning_rate", "gradient_bound"):
             if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected > 0")
+                raise InputError(f"{name} = {getattr(self, name)}: expected > 0")
         for name in ("first", "last", "keep"):
             if (level := getattr(self, name)) is not None and level[1] <= 0:
-                raise ValueError(f"{name} = {level}: expected (offset, kappa) with kappa > 0")
+                raise InputError(f"{name} = {level}: expected (offset, kappa) with kappa > 0")
 
 
 PAPER = (PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa)

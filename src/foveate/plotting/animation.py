@@ -16,10 +16,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
+from foveate.errors import InputError
 from foveate.io.files import write_atomic
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.scene import BLACK, GREY, PALE, SEEN, broken, clean, describe, legend_entries, new_figure
-from foveate.plotting.scene_spatial import stage_of
+from foveate.plotting.scene_spatial import scene_axes_of
 
 DPI = 100
 
@@ -37,7 +38,7 @@ TRAIL_STEPS = 40
 Show = Callable[[int], None]
 
 
-def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
+def animate(film: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
     """Write an episode as `.gif` (looping for ever), `.mp4` (through ffmpeg), or its last moment as `.png`.
 
     Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses or ellipsoids; right, log det
@@ -47,14 +48,14 @@ def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900,
     """
     kind = path.suffix.lower()
     if kind not in (".gif", ".mp4", ".png"):
-        raise ValueError(f"{path}: expected a name that ends in .gif, .mp4 or .png")
+        raise InputError(f"{path}: expected a name that ends in .gif, .mp4 or .png")
     if min(size) < 200 or any(side % 2 for side in size):
-        raise ValueError(f"size = {size}: expected two even numbers of pixels, at least 200")
+        raise InputError(f"size = {size}: expected two even numbers of pixels, at least 200")
     if not 1 <= fps <= 50:
-        raise ValueError(f"fps = {fps}: expected from 1 to 50 frames a second")
+        raise InputError(f"fps = {fps}: expected from 1 to 50 frames a second")
     if kind == ".mp4" and shutil.which("ffmpeg") is None:
-        raise ValueError(f"{path}: ffmpeg is missing: install it, or write a .gif")
-    moments = frame_moments(film.steps, stage_of(film).max_frames)
+        raise InputError(f"{path}: ffmpeg is missing: install it, or write a .gif")
+    moments = frame_moments(film.steps, scene_axes_of(film).max_frames)
     if kind == ".png":
         buffer = io.BytesIO()
         Image.fromarray(picture(film, moments[-1], size)).save(buffer, "PNG")
@@ -64,7 +65,7 @@ def animate(film: Film, path: Path, fps: int = 10, size: tuple[int, int] = (900,
         write_atomic(path, encode(list(_frames(film, moments, size)), fps))
 
 
-def picture(film: Film, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
+def picture(film: EpisodeData, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
     """One frame of the animation, at a moment of the film (see `film.snapshot`): uint8, (height, width, 3)."""
     return next(_frames(film, [moment], size))
 
@@ -78,7 +79,7 @@ def frame_moments(steps: int, most: int) -> list[int]:
     return [*range(0, end, stride), end]
 
 
-def _frames(film: Film, moments: list[int], size: tuple[int, int]) -> Iterator[np.ndarray]:
+def _frames(film: EpisodeData, moments: list[int], size: tuple[int, int]) -> Iterator[np.ndarray]:
     """RGB pictures: what stands still is drawn once, what moves is drawn on top of a copy of it."""
     width, height = size
     figure = new_figure(width / DPI, height / DPI, dpi=DPI, layout=None)
@@ -96,10 +97,10 @@ def _frames(film: Film, moments: list[int], size: tuple[int, int]) -> Iterator[n
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Artist], Show]:
+def _scene(figure: Figure, film: EpisodeData, size: tuple[int, int]) -> tuple[list[Artist], Show]:
     """Everything on the figure: the artists that move, and what moves them."""
     width, height = size
-    kind, unit, bottom, top = stage_of(film), np.array([width, height, width, height]), 82.0, 60.0
+    kind, unit, bottom, top = scene_axes_of(film), np.array([width, height, width, height]), 82.0, 60.0
     place = kind.place(width, height, bottom, top)
     ground: Any = figure.add_axes(tuple(place / unit), axes_class=kind.axes_class)
     start, high = place[0] + place[2] + 62, min(place[3], height - bottom - top)
@@ -126,7 +127,7 @@ def _scene(figure: Figure, film: Film, size: tuple[int, int]) -> tuple[list[Arti
     return [*stage.artists, *lines, clock], show
 
 
-def _curves(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
+def _curves(axes: Axes, film: EpisodeData) -> tuple[list[Artist], Show]:
     """log det of every target after every step, growing with time."""
     known = np.where(film.present[1:], film.log_det, np.nan)
     times = film.times_s[1:]
@@ -199,5 +200,5 @@ def _mp4(frames: list[np.ndarray], fps: int) -> bytes:
         done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, held)), capture_output=True)
         if done.returncode or not file.exists():
             reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no reason given"]
-            raise ValueError(f"ffmpeg failed: {reason[0]}")
+            raise InputError(f"ffmpeg failed: {reason[0]}")
         return file.read_bytes()

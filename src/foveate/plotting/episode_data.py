@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import Suite, simulate
 from foveate.geometry.numpy_poses import arc, positions
 from foveate.geometry.space import Space
@@ -13,11 +14,11 @@ from foveate.models.problem import Problem
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
 
 SUBSTEPS = 6
-"""Poses that `Film.arc` gives for each step; divisible by 1, 2 and 3, the frames a step may have."""
+"""Poses that `EpisodeData.arc` gives for each step; divisible by 1, 2 and 3, the frames a step may have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Film:
+class EpisodeData:
     """One episode, cut to its horizon K and its n real targets; all in the world frame, in metres and seconds.
 
     `pose` is in the representation of `space`. `truth` and `estimate` are positions, `covariance` that of the
@@ -39,7 +40,7 @@ class Film:
 
     def __post_init__(self) -> None:
         if len(self.times_s) != len(self.visible) + 1:
-            raise ValueError(
+            raise InputError(
                 f"times_s has {len(self.times_s)} instants: expected {len(self.visible) + 1}, one more than steps"
             )
 
@@ -95,7 +96,7 @@ class Snapshot:
     seen: Bool[np.ndarray, " h"]
 
 
-def snapshot(film: Film, way: Float[np.ndarray, "poses ..."], moment: int, trail: int | None = None) -> Snapshot:
+def snapshot(film: EpisodeData, way: Float[np.ndarray, "poses ..."], moment: int, trail: int | None = None) -> Snapshot:
     """A film at moment i: i / SUBSTEPS steps after the start. `way` is `film.arc()`; tracks reach `trail` steps back.
 
     Between two instants the agent is on its arc, positions are interpolated linearly, and a belief keeps its
@@ -121,14 +122,14 @@ def snapshot(film: Film, way: Float[np.ndarray, "poses ..."], moment: int, trail
     )
 
 
-def film(
+def episode_data(
     problem: Problem,
     trace: Trace,
     truth_state: Float[np.ndarray, "instants columns n_y"],
     horizon: int,
     targets: int,
     title: str = "",
-) -> Film:
+) -> EpisodeData:
     """The film of ONE episode: `trace` and `truth_state` as numpy arrays, padded in steps and targets or not.
 
     The first `horizon` steps and the first `targets` columns count.
@@ -141,7 +142,7 @@ def film(
         present[..., None, None], np.asarray(trace.information, float)[: K + 1, :n], np.eye(Z.shape[1])
     )
     outline = problem.sensor.view.outline()
-    return Film(
+    return EpisodeData(
         title=title,
         space=problem.agent.space,
         visible=np.asarray(trace.visible)[:K, :n],
@@ -156,11 +157,11 @@ def film(
     )
 
 
-def films(suite: Suite, policy: Policy, protocol: str, name: str) -> list[Film]:
+def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[EpisodeData]:
     """A policy of that name in every scene of a suite: the episodes whose rows an evaluation gives."""
     trace = simulate(suite, policy, PROTOCOLS[protocol])
     return [
-        film(
+        episode_data(
             suite.problem,
             jax.tree.map(lambda x, i=i: x[i], trace),
             np.asarray(suite.truth.state[i]),

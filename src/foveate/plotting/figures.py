@@ -12,9 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from foveate.experiment.run_folder import METRICS, Check, read_checks
+from foveate.errors import InputError
+from foveate.experiment.run_folder import METRICS, Validation, read_validations
 from foveate.geometry.numpy_poses import positions, rotation
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.scene import (
     AGENT,
     BLACK,
@@ -30,7 +31,7 @@ from foveate.plotting.scene import (
     new_figure,
     save,
 )
-from foveate.plotting.scene_spatial import stage_of
+from foveate.plotting.scene_spatial import scene_axes_of
 
 WIDTH = 9.0
 """Inches; at README width (about 900 pixels) a point is then 1.4 pixels."""
@@ -39,7 +40,7 @@ WIDTH = 9.0
 COLUMNS = 4
 
 
-def trajectory_figure(films: Sequence[Film], path: Path) -> None:
+def trajectory_figure(films: Sequence[EpisodeData], path: Path) -> None:
     """One row a film: the start, a third, two thirds and the end of it.
 
     Each panel shows the agent and its path so far, its field of view there, the targets (squares) with their tracks so
@@ -48,13 +49,13 @@ def trajectory_figure(films: Sequence[Film], path: Path) -> None:
     ValueError for no film.
     """
     if not films:
-        raise ValueError("no film to draw: expected at least one")
-    heights = [WIDTH / COLUMNS * stage_of(film).panel_shape + 0.3 for film in films]
+        raise InputError("no film to draw: expected at least one")
+    heights = [WIDTH / COLUMNS * scene_axes_of(film).panel_shape + 0.3 for film in films]
     figure = new_figure(WIDTH, sum(heights) + 0.3)
     rows = figure.subfigures(len(films), 1, squeeze=False, height_ratios=heights)[:, 0]
     for row, film in zip(rows, films, strict=True):
         row.suptitle(describe(film), x=0.01, ha="left", fontsize=9, fontweight="bold")
-        kind = stage_of(film)
+        kind = scene_axes_of(film)
         box = kind.limits([other for other in films if _same_scene(film, other)])
         instants = [round(film.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
         for column, instant in enumerate(instants):
@@ -67,7 +68,7 @@ def trajectory_figure(films: Sequence[Film], path: Path) -> None:
     save(figure, path)
 
 
-def _same_scene(one: Film, other: Film) -> bool:
+def _same_scene(one: EpisodeData, other: EpisodeData) -> bool:
     return one.truth.shape == other.truth.shape and np.allclose(one.truth[:1], other.truth[:1])
 
 
@@ -80,8 +81,8 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     """
     files = [run / METRICS if run.is_dir() else run for run in ([runs] if isinstance(runs, Path) else runs)]
     if not files:
-        raise ValueError("no run to draw: expected at least one")
-    histories = [read_checks(file) for file in files]
+        raise InputError("no run to draw: expected at least one")
+    histories = [read_validations(file) for file in files]
     figure = new_figure(WIDTH, 4.0 + 0.07 * len(files))
     axes = figure.subplots()
     single = len(files) == 1
@@ -128,7 +129,7 @@ def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
     return entries
 
 
-def _seconds_on_top(axes: Axes, checks: Sequence[Check]) -> None:
+def _seconds_on_top(axes: Axes, checks: Sequence[Validation]) -> None:
     """A second x axis: the time at which the epochs of the first one were done."""
     top = axes.twiny()
     top.set_xlim(axes.get_xlim())
@@ -140,7 +141,7 @@ def _seconds_on_top(axes: Axes, checks: Sequence[Check]) -> None:
     top.tick_params(labelcolor=GREY)
 
 
-def replay_figure(films: Mapping[str, Film], path: Path) -> None:
+def replay_figure(films: Mapping[str, EpisodeData], path: Path) -> None:
     """A recording as several methods saw it; map and timeline are those of the first.
 
     Left, the map (of space: from above and from the side): every target's track in grey, in colour while it was seen,
@@ -149,10 +150,10 @@ def replay_figure(films: Mapping[str, Film], path: Path) -> None:
     saw. Raises ValueError for no film.
     """
     if not films:
-        raise ValueError("no film to draw: expected at least one")
+        raise InputError("no film to draw: expected at least one")
     name, film = next(iter(films.items()))
     bars = 0.26 * len(films) + 0.25
-    height = max(3.4 + 1.0 * len(stage_of(film).planes), 2.9 + bars)
+    height = max(3.4 + 1.0 * len(scene_axes_of(film).planes), 2.9 + bars)
     figure = new_figure(WIDTH, height)
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
     _maps(left, film, name)
@@ -170,9 +171,9 @@ def replay_figure(films: Mapping[str, Film], path: Path) -> None:
     save(figure, path)
 
 
-def _maps(part: SubFigure, film: Film, name: str) -> None:
+def _maps(part: SubFigure, film: EpisodeData, name: str) -> None:
     """What was seen where, from every side that the space has: of one scale, one above the other."""
-    planes = stage_of(film).planes
+    planes = scene_axes_of(film).planes
     points = np.concatenate([film.truth[film.present], positions(film.pose)])
     low, high = points.min(axis=0), points.max(axis=0)
     pad = max(0.05 * (high - low).max(), 0.5)
@@ -189,7 +190,7 @@ def _maps(part: SubFigure, film: Film, name: str) -> None:
     sides[0, 0].set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
 
 
-def _map(axes: Axes, film: Film, plane: tuple[int, int]) -> None:
+def _map(axes: Axes, film: EpisodeData, plane: tuple[int, int]) -> None:
     """Tracks, where they were seen, and the way of the agent, in the plane of two axes of the world."""
     across, up = plane
     truth, arc = film.truth[..., plane], film.arc()
@@ -206,7 +207,7 @@ def _map(axes: Axes, film: Film, plane: tuple[int, int]) -> None:
     axes.set_ylabel(f"{'xyz'[up]} [m]", fontsize=8.5, labelpad=3)
 
 
-def _timeline(axes: Axes, film: Film, name: str) -> None:
+def _timeline(axes: Axes, film: EpisodeData, name: str) -> None:
     """Rows of targets over time: there or not, seen or not."""
     end, there, seen = film.times_s[-1], film.counted, film.visible & film.counted
     for column in range(film.targets):
@@ -230,7 +231,7 @@ def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
     return [(int(first), int(end - first)) for first, end in edges]
 
 
-def _shares(axes: Axes, films: Mapping[str, Film]) -> None:
+def _shares(axes: Axes, films: Mapping[str, EpisodeData]) -> None:
     """The share of target time that each method saw."""
     values = [100 * film.seen_share for film in films.values()]
     colors = [SEEN, *[GREY] * (len(films) - 1)]

@@ -20,9 +20,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
+from foveate.errors import InputError
 from foveate.geometry.numpy_poses import placed
 from foveate.io.files import write_atomic
-from foveate.plotting.episode_data import Film, snapshot
+from foveate.plotting.episode_data import EpisodeData, snapshot
 
 BLUE, SKY, GREEN, VERMILLION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
 
@@ -55,7 +56,7 @@ def ellipses(mean: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 
     return mean[:, None, :] + CIRCLE @ axes.swapaxes(-1, -2)
 
 
-def limits(films: Sequence[Film], margin: float = 0.04) -> Float[np.ndarray, "2 2"]:
+def limits(films: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 2"]:
     """Lower and upper corner [m] of the square that shows targets, agent and view of these films at every instant.
 
     Beliefs are shown as far as they reach beyond that by 15 % at most: one that nobody corrects may grow for ever.
@@ -82,7 +83,7 @@ def broken(tracks: Float[np.ndarray, "instants n d"], shown: Bool[np.ndarray, "i
     return np.concatenate([line, gap]).swapaxes(0, 1).reshape(-1, tracks.shape[-1])
 
 
-class Stage:
+class PlanarScene:
     """A planar scene in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
 
     `trail` is how many steps back trails and path reach, None for all. `scale` grows the symbols. A `tint` is the one
@@ -107,7 +108,7 @@ class Stage:
     def __init__(
         self,
         axes: Axes,
-        film: Film,
+        film: EpisodeData,
         box: np.ndarray,
         trail: int | None = None,
         scale: float = 1.0,
@@ -174,7 +175,7 @@ class Stage:
 
 
 def legend_entries() -> list[Artist]:
-    """What the colours and symbols of a `Stage` mean."""
+    """What the colours and symbols of a `PlanarScene` mean."""
     return [
         Line2D([], [], color=AGENT, lw=1.5, label="agent and its path"),
         Patch(facecolor=SKY + "55", edgecolor=AGENT, lw=0.7, label="field of view"),
@@ -184,7 +185,7 @@ def legend_entries() -> list[Artist]:
     ]
 
 
-def describe(film: Film) -> str:
+def describe(film: EpisodeData) -> str:
     """Title, number of targets, and how well they were kept: the score, or where they come and go the share seen."""
     most = int(film.present.sum(axis=1).max())
     count = f"{most or 'no'} target{'s' * (most != 1)}"
@@ -213,7 +214,7 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure whole or not at all; the ending says the format (.png, .pdf, .svg)."""
     kinds = (".png", ".pdf", ".svg")
     if path.suffix.lower() not in kinds:
-        raise ValueError(f"{path}: expected a name that ends in {', '.join(kinds)}")
+        raise InputError(f"{path}: expected a name that ends in {', '.join(kinds)}")
     buffer = io.BytesIO()
     figure.savefig(buffer, format=path.suffix[1:].lower())
     write_atomic(path, buffer.getvalue())

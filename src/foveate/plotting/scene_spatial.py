@@ -13,8 +13,8 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from foveate.geometry.numpy_poses import placed, positions
 from foveate.plotting.ellipsoids import CHI_SQUARE_95, contours, faces, meridians
-from foveate.plotting.episode_data import Film, snapshot
-from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN, Stage, broken
+from foveate.plotting.episode_data import EpisodeData, snapshot
+from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN, PlanarScene, broken
 
 Drawn = TypeVar("Drawn", Poly3DCollection, Line3DCollection)
 
@@ -30,7 +30,7 @@ ELEVATION, AZIMUTH, SWING = 27.0, -62.0, 36.0
 """The camera, and how far it goes around the scene in an animation [degrees]."""
 
 
-def limits(films: Sequence[Film], margin: float = 0.04) -> Float[np.ndarray, "2 3"]:
+def limits(films: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 3"]:
     """Lower and upper corner [m] of the box that shows targets and agent of these films at every instant.
 
     View and beliefs are shown as far as they reach beyond that by 15 % at most: the one turns about, and the others may
@@ -84,7 +84,7 @@ class SpaceAxes(Axes3D):
         self.viewLim.intervalx, self.viewLim.intervaly = np.stack([low, high], axis=1)
 
 
-class SpatialStage:
+class SpatialScene:
     """A scene of space in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
 
     Everything has a shadow or a drop line on the floor. `trail` is how many steps back trails and path reach, None for
@@ -104,7 +104,7 @@ class SpatialStage:
         return 0.0, 0.4 * bottom, 0.575 * width, height - 0.4 * bottom - 0.5 * top
 
     def __init__(
-        self, axes: SpaceAxes, film: Film, box: np.ndarray, trail: int | None = None, scale: float = 1.0
+        self, axes: SpaceAxes, film: EpisodeData, box: np.ndarray, trail: int | None = None, scale: float = 1.0
     ) -> None:
         self.axes, self.film, self.arc, self.trail = axes, film, film.arc(), trail
         self.size = 0.045 * float((box[1] - box[0]).max())
@@ -229,6 +229,6 @@ def _aim(axes: SpaceAxes, box: np.ndarray, swing: float) -> None:
     axes.seen = np.stack([points.min(axis=0), points.max(axis=0)])
 
 
-def stage_of(film: Film) -> type[Stage] | type[SpatialStage]:
+def scene_axes_of(film: EpisodeData) -> type[PlanarScene] | type[SpatialScene]:
     """What draws a film."""
-    return SpatialStage if film.space.dimension == 3 else Stage
+    return SpatialScene if film.space.dimension == 3 else PlanarScene

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
 from foveate.policies.inputs import Frame, Scale, policy_inputs
@@ -41,20 +42,20 @@ class AttentionSettings:
         for name in ("agent_widths", "target_widths", "out_widths"):
             widths = getattr(self, name)
             if not widths or min(widths) < 1:
-                raise ValueError(f"{name} = {widths}: expected at least one width, each >= 1")
+                raise InputError(f"{name} = {widths}: expected at least one width, each >= 1")
         if self.agent_widths[-1] != self.target_widths[-1]:
-            raise ValueError(
+            raise InputError(
                 f"target_widths = {self.target_widths}: expected to end in {self.agent_widths[-1]} as agent_widths does"
             )
         for name in ("alpha", "length_m"):
             if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected > 0")
+                raise InputError(f"{name} = {getattr(self, name)}: expected > 0")
 
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
         """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
         d, n_y = problem.agent.space.dimension, problem.motion.state_size
         if self.frame == "body" and not problem.motion.begins_with_position:
-            raise ValueError(
+            raise InputError(
                 f"frame = 'body': expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
             )
         embedding = self.agent_widths[-1]

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.simulation.records import Observation, Policy
@@ -130,10 +131,10 @@ class Lawnmower(Steering):
         return corners[turn], jnp.array(True), (corners, turn)
 
 
-METHODS = ("random", "still", "nearest", "uncertain", "lawnmower")
+HEURISTICS = ("random", "still", "nearest", "uncertain", "lawnmower")
 
 
-def handmade(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
+def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
     """The hand-made policy of that name, standing off by half the depth [m] of the view; the box is the lawnmower's."""
     policies = {
         "random": lambda: Random(problem),
@@ -143,5 +144,5 @@ def handmade(name: str, problem: Problem, depth_m: float, box_world: Float[Array
         "lawnmower": lambda: Lawnmower(problem, 0.0, box_world),
     }
     if name not in policies:
-        raise ValueError(f"method {name!r}: expected one of {', '.join(METHODS)}")
+        raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
     return policies[name]()

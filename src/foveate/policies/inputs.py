@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import multiply, vech
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
@@ -98,14 +99,14 @@ def rich_numbers(problem: Problem, kind: str) -> int:
     """How many `rich_inputs` tells of a target. Raises ValueError where a state does not begin with the position."""
     d, n_y = problem.agent.space.dimension, problem.motion.state_size
     if not problem.motion.begins_with_position:
-        raise ValueError(
+        raise InputError(
             f"kind = {kind!r}: expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
         )
     told = d if problem.motion.input_size == d else 0
     return n_y + n_y * (n_y + 1) // 2 + (d + 1) + told + 3
 
 
-class Told(NamedTuple):
+class Features(NamedTuple):
     """An observation as arrays for learners outside of JAX; padding is zeros."""
 
     agent: Float[Array, " n_u"]
@@ -121,13 +122,13 @@ class Told(NamedTuple):
         return jnp.concatenate([self.agent, self.targets.ravel(), self.mask, self.left])
 
 
-def told(
+def policy_features(
     observation: Observation, left: Scalar, space: Space, frame: Frame, length_m: float = 1.0, scale: Scale = "plain"
-) -> Told:
+) -> Features:
     """`policy_inputs`, who is present, and the share of steps that is `left`."""
     agent, targets = policy_inputs(observation, space, frame, length_m, scale)
     present = observation.present
-    return Told(
+    return Features(
         agent=agent,
         targets=jnp.where(present[:, None], targets, 0.0),
         mask=present.astype(agent.dtype),

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
 from foveate.policies.inputs import rich_inputs, rich_numbers
@@ -47,12 +48,12 @@ class PointerSettings:
         for name in ("target_widths", "context_widths", "mode_widths"):
             widths = getattr(self, name)
             if not widths or min(widths) < 1:
-                raise ValueError(f"{name} = {widths}: expected at least one width, each >= 1")
+                raise InputError(f"{name} = {widths}: expected at least one width, each >= 1")
         for name in ("heads", "modes"):
             if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected >= 1")
+                raise InputError(f"{name} = {getattr(self, name)}: expected >= 1")
         if self.length_m <= 0:
-            raise ValueError(f"length_m = {self.length_m}: expected > 0")
+            raise InputError(f"length_m = {self.length_m}: expected > 0")
 
     def policy(self, problem: Problem, key: Key) -> "PointerPolicy":
         """A network with fresh weights, fit for the problem's space, targets and actuated axes."""

@@ -119,7 +119,7 @@ def _scenes(statistics: MotionStatistics) -> SceneSettings:
         drift_m_s=tuple(float(x) for x in np.sqrt(3 * np.diag(statistics.walk_covariance_m2)) / statistics.tau_s),
         shared_drift=False,
         known_drift=False,
-        turnover=True,
+        birth_and_death=True,
         jitter_m_s=0.0,
         steps=max(10, round(20.0 / statistics.tau_s)),
         initial_error="consistent",

@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.io.files import read_text
 from foveate.recordings.recording import Recording, Track
 
@@ -46,11 +47,11 @@ def load_recording(path: str | PathLike[str]) -> Recording:
                 file.seek(0)
             return replace(_parse(path, file), sha256=sha256)
     except IsADirectoryError:
-        raise ValueError(f"{path}: is a directory; give the path of a recording, a CSV file") from None
+        raise InputError(f"{path}: is a directory; give the path of a recording, a CSV file") from None
     except FileNotFoundError:
-        raise ValueError(f"{path}: no such file; give the path of a recording, a CSV file") from None
+        raise InputError(f"{path}: no such file; give the path of a recording, a CSV file") from None
     except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _check_sum(path: Path, sha256: str) -> None:
@@ -60,7 +61,7 @@ def _check_sum(path: Path, sha256: str) -> None:
         return
     wanted = read_text(beside, "SHA-256 sum").split()[:1]
     if wanted != [sha256]:
-        raise ValueError(f"{path}: is cut short, damaged or changed: {beside.name} says another SHA-256 sum")
+        raise InputError(f"{path}: is cut short, damaged or changed: {beside.name} says another SHA-256 sum")
 
 
 def _parse(path: Path, file: BinaryIO) -> Recording:
@@ -78,14 +79,14 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
             if row:
                 time_s, track_id, *point = _row(row, dimension)
                 if time_s < now_s:
-                    raise ValueError(f"time_s {time_s!r} comes after {now_s!r}; rows must be sorted by time")
+                    raise InputError(f"time_s {time_s!r} comes after {now_s!r}; rows must be sorted by time")
                 now_s = time_s
                 owner = index_of.get(track_id)
                 if owner is None:
                     owner = index_of[_checked_id(track_id)] = len(last_s)
                     last_s.append(-np.inf)
                 if last_s[owner] == time_s:
-                    raise ValueError(
+                    raise InputError(
                         f"track_id {track_id!r} has two rows at time_s {time_s!r}; "
                         "there must be one row for each time and track"
                     )
@@ -96,9 +97,9 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
             line = reader.line_num + 1
     except (ValueError, csv.Error) as error:
         expected = "; every row must be plain comma-separated text" if isinstance(error, csv.Error) else ""
-        raise ValueError(f"{path}: line {line}: {error}{expected}") from None
+        raise InputError(f"{path}: line {line}: {error}{expected}") from None
     if not times:
-        raise ValueError(f"{path}: line {line}: no rows; at least one row must follow the header")
+        raise InputError(f"{path}: line {line}: no rows; at least one row must follow the header")
     tracks = _group(np.asarray(times), np.asarray(points).reshape(-1, dimension), np.asarray(owners), index_of)
     return Recording(name=str(path), dimension=dimension, tracks=tracks)
 
@@ -108,34 +109,34 @@ def _lines(file: BinaryIO) -> Iterator[str]:
     encoding = "utf-8-sig"
     while raw := file.readline(MAX_LINE_BYTES + 1):
         if len(raw) > MAX_LINE_BYTES:
-            raise ValueError(f"longer than {MAX_LINE_BYTES} bytes; a row is a time, a track id and a position")
+            raise InputError(f"longer than {MAX_LINE_BYTES} bytes; a row is a time, a track id and a position")
         try:
             yield raw.decode(encoding)
         except UnicodeDecodeError as error:
             bad = raw[error.start : error.start + 1]
-            raise ValueError(f"byte {bad!r} is not UTF-8; save the file as UTF-8 text") from None
+            raise InputError(f"byte {bad!r} is not UTF-8; save the file as UTF-8 text") from None
         encoding = "utf-8"
 
 
 def _header_dimension(header: list[str] | None) -> int:
     if header is None:
-        raise ValueError(f"the file is empty; {_HEADER}")
+        raise InputError(f"the file is empty; {_HEADER}")
     names = tuple(header)
     if names in (COLUMNS[:4], COLUMNS):
         return len(names) - 2
     unexpected = [name for i, name in enumerate(names) if name not in COLUMNS or name in names[:i]]
     missing = [name for name in COLUMNS[:4] if name not in names]
     if unexpected:
-        raise ValueError(f"unexpected column {_shown(unexpected[0])}; {_HEADER}")
+        raise InputError(f"unexpected column {_shown(unexpected[0])}; {_HEADER}")
     if missing:
-        raise ValueError(f"column {missing[0]!r} is missing; {_HEADER}")
-    raise ValueError(f"the columns {','.join(names)} are out of order; {_HEADER}")
+        raise InputError(f"column {missing[0]!r} is missing; {_HEADER}")
+    raise InputError(f"the columns {','.join(names)} are out of order; {_HEADER}")
 
 
 def _row(row: list[str], dimension: int) -> tuple:
     if len(row) != dimension + 2:
         expected = ",".join(COLUMNS[: dimension + 2])
-        raise ValueError(f"{len(row)} fields; there must be {dimension + 2}: {expected}")
+        raise InputError(f"{len(row)} fields; there must be {dimension + 2}: {expected}")
     point = map(_number, row[2:], COLUMNS[2:])
     return _number(row[0], COLUMNS[0]), row[1].strip(), *point
 
@@ -149,13 +150,13 @@ def _number(text: str, column: str) -> float:
     if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE or "_" in text:
         unit = "seconds" if column == "time_s" else "metres"
         limit = f"at most {MAX_MAGNITUDE:g} in size"
-        raise ValueError(f"{column} is {_shown(text)}; it must be a finite number of {unit}, {limit}")
+        raise InputError(f"{column} is {_shown(text)}; it must be a finite number of {unit}, {limit}")
     return value
 
 
 def _checked_id(track_id: str) -> str:
     if not track_id or not track_id.isprintable():
-        raise ValueError(f"track_id is {_shown(track_id)}; it must be a name or number of printable characters")
+        raise InputError(f"track_id is {_shown(track_id)}; it must be a name or number of printable characters")
     return track_id
 
 

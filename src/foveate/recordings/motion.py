@@ -19,6 +19,7 @@ from math import log2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from foveate.errors import InputError
 from foveate.recordings.recording import Recording, Track, resample_slots
 
 _SPIKE_STEPS = 10.0
@@ -143,7 +144,7 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
     kept = [_without_spikes(track) for track in recording.tracks]
     pairs = _velocities(kept, max(tau_s, interval_s), gap_s)
     if not len(pairs.dt):
-        raise ValueError(
+        raise InputError(
             f"{recording.name}: no track has two fixes about {max(tau_s, interval_s):g} s apart "
             f"without a gap over {gap_s:g} s; the median fix interval is {interval_s:g} s: "
             "choose max_gap_s above it"
@@ -192,7 +193,7 @@ def median_fix_interval_s(recording: Recording) -> float:
     """
     intervals = np.concatenate([np.diff(track.times_s) for track in recording.tracks])
     if not len(intervals):
-        raise ValueError(f"{recording.name}: no track has two fixes; nothing can be said about motion")
+        raise InputError(f"{recording.name}: no track has two fixes; nothing can be said about motion")
     return float(np.median(intervals))
 
 

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from foveate.errors import InputError
+
 MAX_CELLS = 20_000_000  # instants x tracks of one sampled array: about 0.5 GB in space
 
 
@@ -108,7 +110,7 @@ def window(recording: Recording, start_s: float | None = None, end_s: float | No
         if inside.any():
             kept.append(replace(track, times_s=track.times_s[inside], positions_m=track.positions_m[inside]))
     if not kept:
-        raise ValueError(
+        raise InputError(
             f"{recording.name}: no fix between start {lower:g} s and end {upper:g} s; "
             f"the recording spans {recording.start_s:.10g} s to {recording.end_s:.10g} s"
         )
@@ -176,11 +178,11 @@ def _sampled_tracks(
     """The instants, the tracks that are present at one of them, and these tracks sampled."""
     for name, value in (("tau_s", tau_s), ("max_gap_s", max_gap_s)):
         if not (isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value!r}; it must be a positive, finite number of seconds")
+            raise InputError(f"{name} is {value!r}; it must be a positive, finite number of seconds")
     start_s, span_s = recording.start_s, recording.end_s - recording.start_s
     steps = floor(span_s / tau_s + 1e-6)  # the tolerance keeps an end that falls on an instant
     if steps < 1:
-        raise ValueError(f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least")
+        raise InputError(f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least")
     _check_size(recording.name, steps + 1, 1)
     times = start_s + tau_s * np.arange(steps + 1)
     pieces = [_sample(track, times, tau_s, max_gap_s) for track in recording.tracks]
@@ -190,7 +192,7 @@ def _sampled_tracks(
 
 def _check_size(name: str, steps: int, columns: int) -> None:
     if steps * columns > MAX_CELLS:
-        raise ValueError(
+        raise InputError(
             f"{name}: {steps} instants x {columns} columns to sample; at most {MAX_CELLS} in all are possible: "
             "cut the recording in time, choose a longer tau_s, or look for wrong times in it"
         )

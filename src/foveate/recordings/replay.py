@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import decision_time
 from foveate.evaluation.metrics import chi_square_band, longest_run, splits
 from foveate.experiment.experiment import Experiment
@@ -49,7 +50,7 @@ class ReplayRow:
     the steps of a track, which hang together, count as one. `seen_fraction` is the share of tracks measured at least
     once, `seen_time_fraction` of all target-steps with a measurement; `longest_unseen_s` the longest time that any
     track went without one; `lost` counts tracks unseen at their end with an error above the depth of the view;
-    `refused` measurements that the gate refused.
+    `rejected` measurements that the gate rejected.
     """
 
     method: str
@@ -68,7 +69,7 @@ class ReplayRow:
     nees_seen: float | None
     nees_unseen: float | None
     lost: int
-    refused: int
+    rejected: int
     step_time_s: float
 
 
@@ -97,20 +98,20 @@ def prepare_replay(
 ) -> Replay:
     """Sample the recording at the scenario's control period and draw the noise of its measurements from `seed`.
 
-    The filter refuses measurements outside of the chi-square `gate`, of that probability (see `models.gate`).
+    The filter rejects measurements outside of the chi-square `gate`, of that probability (see `models.gate`).
 
     Raises ValueError where the recording has another number of dimensions than the scenario.
     """
     d, problem = scenario.dimension, scenario.problem()
     if not problem.motion.begins_with_position:
-        raise ValueError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
+        raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
     if problem.schedule is not None:
-        raise ValueError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
+        raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
     if recording.dimension != d:
-        raise ValueError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
+        raise InputError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
     far = float(np.abs(np.stack(recording.extent)).max())
     if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
-        raise ValueError(
+        raise InputError(
             f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
             f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
         )
@@ -209,7 +210,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         nees_band=chi_square_band(ready.truth.shape[-1], alike),
         **splits(square[counts], nees[counts], of_seen[counts]),
         lost=lost,
-        refused=0 if trace.refusals is None else int((np.diff(trace.refusals, axis=0, prepend=0) > 0).sum()),
+        rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
         step_time_s=step_time,
     )
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.io.validate import Matrix, matrix, positive, representable, require
 from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
@@ -43,18 +44,18 @@ class Scenario:
         A, _, _, Z = self.target.motion(d, self.tau_s)
         H = self._observation(Z)
         if H.shape[1] != len(A):
-            raise ValueError(f"sensor.H has {H.shape[1]} columns: expected {len(A)}, the length of a target's state")
+            raise InputError(f"sensor.H has {H.shape[1]} columns: expected {len(A)}, the length of a target's state")
         if len(H) > len(A):
-            raise ValueError(f"sensor.H has {len(H)} rows: expected at most {len(A)}, the length of a target's state")
+            raise InputError(f"sensor.H has {len(H)} rows: expected at most {len(A)}, the length of a target's state")
         noises = [("sensor.V", V) for V in (self.sensor.V,) if V is not None]
         for name, V in [*noises, *(("schedule.V", V) for V in self.schedule.V)]:
             if len(V) != len(H):
-                raise ValueError(
+                raise InputError(
                     f"{name} is {len(V)} x {len(V)}: expected {len(H)} x {len(H)}, one row per measurement"
                 )
         for W in self.schedule.W:
             if len(W) != len(A):
-                raise ValueError(f"schedule.W is {len(W)} x {len(W)}: expected {len(A)} x {len(A)}, as targets' states")
+                raise InputError(f"schedule.W is {len(W)} x {len(W)}: expected {len(A)} x {len(A)}, as targets' states")
         problem = self.problem()
         for tau in self.schedule.tau_s:
             self.target.motion(d, tau)
@@ -63,13 +64,13 @@ class Scenario:
                 require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
         if any(self.scenes.drift_m_s) and not problem.motion.takes_drift:
             right = "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or Z = B = I)"
-            raise ValueError(f"scenes.drift_m_s = {self.scenes.drift_m_s!r}: {right}")
+            raise InputError(f"scenes.drift_m_s = {self.scenes.drift_m_s!r}: {right}")
         if self.sensor.frame == "body" and H.shape[0] != d:
-            raise ValueError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
+            raise InputError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
         V = np.asarray(problem.period.V[0])
         turns = self.sensor.frame == "body" and not np.array_equal(V, V[0, 0] * np.eye(len(V)))
         if turns and self.scenes.initial_error == "paper":
-            raise ValueError(
+            raise InputError(
                 "scenes.initial_error = 'paper': N(0, V) says nothing of the world where V turns with the agent: "
                 "expected 'consistent' with this sensor"
             )
@@ -93,7 +94,7 @@ class Scenario:
             view=self.view.view(),
             range_growth=self.sensor.range_growth_per_m,
             frame=self.sensor.frame,
-            uses_absence=self.sensor.absence == "used",
+            uses_missed_detections=self.sensor.missed_detections == "used",
         )
         return Problem(
             agent=self.agent.agent(),

@@ -5,10 +5,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.io.files import content_digest, read_document, write_document
 from foveate.io.validate import not_negative, require
@@ -24,12 +25,13 @@ class SceneSettings:
     [-drift_m_s, drift_m_s] of each axis, one for all targets of a scene (`shared_drift`) or each its own, plus
     [-jitter_m_s, jitter_m_s] anew at each step, where targets are positions that an input drives (other kinds have no
     jitter: the drift is their first velocity); `known_drift` says whether the agent is told (the paper: yes), and
-    `process_noise` whether the targets are pushed by N(0, W) as well. With `turnover`, in training, a target that
+    `process_noise` whether the targets are pushed by N(0, W) as well. With `birth_and_death`, in training, a target that
     leaves the box is replaced by a new one that enters at the other side.
     Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at no range ("paper":
     claims more than it errs), or drawn from the first belief ("consistent").
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}
     targets_min: int = 3
     """Fewest targets of a scene."""
     targets_max: int = 8
@@ -44,7 +46,7 @@ class SceneSettings:
     shared_drift: bool = True
     known_drift: bool = True
     process_noise: bool = True
-    turnover: bool = False
+    birth_and_death: bool = False
     jitter_m_s: float = 0.5
     """Largest change of the drift at a step, on each axis."""
     steps_per_target: int = 3
@@ -63,7 +65,12 @@ class SceneSettings:
         for name in ("centre_m", "drift_m_s"):
             require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
         smallest = min(self.half_side_m) + self.half_side_per_target_m
-        require(not self.turnover or smallest > 0, "half_side_m", self.half_side_m, "expected > 0 with turnover")
+        require(
+            not self.birth_and_death or smallest > 0,
+            "half_side_m",
+            self.half_side_m,
+            "expected > 0 with birth_and_death",
+        )
         require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
         require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
 
@@ -133,51 +140,51 @@ def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene
     """
     data = read_document(path, "scenes", VERSION, "scenes file")
     if unknown := sorted(set(data) - {"scenes"}):
-        raise ValueError(f"{path}: unknown key {unknown[0]!r}: expected digest, format, scenes, version")
+        raise InputError(f"{path}: unknown key {unknown[0]!r}: expected digest, format, scenes, version")
     return _scenes(data.get("scenes"), f"{path}: scenes", space, settings)
 
 
 def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> list[Scene]:
     if not isinstance(rows, list) or not rows:
-        raise ValueError(f"{where}: expected a list of at least one scene")
+        raise InputError(f"{where}: expected a list of at least one scene")
     scenes = [_scene(row, f"{where}[{i}]", space, settings) for i, row in enumerate(rows)]
     if twice := [name for name, count in Counter(scene.id for scene in scenes).items() if count > 1]:
-        raise ValueError(f"{where}: id {twice[0]!r} is given twice: expected one scene an id")
+        raise InputError(f"{where}: id {twice[0]!r} is given twice: expected one scene an id")
     return scenes
 
 
 def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene:
     if not isinstance(row, dict):
-        raise ValueError(f"{where}: expected an object with id, agent, targets")
+        raise InputError(f"{where}: expected an object with id, agent, targets")
     known = ("id", "agent", "targets", "drift", "horizon")
     for name in known[:3]:
         if name not in row:
-            raise ValueError(f"{where}: no {name!r}: expected id, agent and targets")
+            raise InputError(f"{where}: no {name!r}: expected id, agent and targets")
     if unknown := sorted(set(row) - set(known)):
-        raise ValueError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(known)}")
+        raise InputError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(known)}")
     if not isinstance(row["id"], str) or not row["id"]:
-        raise ValueError(f"{where}: id = {row['id']!r}: expected a non-empty text")
+        raise InputError(f"{where}: id = {row['id']!r}: expected a non-empty text")
     where = f"{where} ({row['id']!r})"
     agent = _row(row["agent"], f"{where}: agent", None)
     try:
         space.from_numbers(agent)
     except ValueError as error:
-        raise ValueError(f"{where}: agent = {list(agent)}: {error}") from None
+        raise InputError(f"{where}: agent = {list(agent)}: {error}") from None
     targets = _rows(row["targets"], f"{where}: targets", space.dimension)
     drift = ((0.0,) * space.dimension,) * len(targets)
     if row.get("drift") is not None:
         drift = _rows(row["drift"], f"{where}: drift", space.dimension)
     if len(drift) != len(targets):
-        raise ValueError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one a target")
+        raise InputError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one a target")
     horizon = row.get("horizon", settings.horizon(len(targets)))
     if isinstance(horizon, bool) or not isinstance(horizon, int) or not 1 <= horizon <= MAX_HORIZON:
-        raise ValueError(f"{where}: horizon = {horizon!r}: expected a whole number from 1 to {MAX_HORIZON}")
+        raise InputError(f"{where}: horizon = {horizon!r}: expected a whole number from 1 to {MAX_HORIZON}")
     return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon)
 
 
 def _rows(value: Any, where: str, width: int) -> tuple[tuple[float, ...], ...]:
     if not isinstance(value, list):
-        raise ValueError(f"{where} = {value!r}: expected a list of rows of {width} numbers")
+        raise InputError(f"{where} = {value!r}: expected a list of rows of {width} numbers")
     return tuple(_row(row, f"{where}[{i}]", width) for i, row in enumerate(value))
 
 
@@ -185,7 +192,7 @@ def _row(value: Any, where: str, width: int | None) -> tuple[float, ...]:
     fits = isinstance(value, list) and (width is None or len(value) == width)
     if not fits or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in value):
         wanted = "" if width is None else f"{width} "
-        raise ValueError(f"{where} = {value!r}: expected {wanted}numbers in a list")
+        raise InputError(f"{where} = {value!r}: expected {wanted}numbers in a list")
     if not all(abs(x) <= MAX_LENGTH for x in value):
-        raise ValueError(f"{where} = {value!r}: expected finite numbers up to {MAX_LENGTH:g}")
+        raise InputError(f"{where} = {value!r}: expected finite numbers up to {MAX_LENGTH:g}")
     return tuple(float(x) for x in value)

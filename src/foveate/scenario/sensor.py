@@ -1,7 +1,7 @@
 """Settings of the sensor, and of what changes from step to step."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from foveate.io.validate import Matrix, covariance, matrix, not_negative, positive, require
 
@@ -12,18 +12,19 @@ class SensorSettings:
 
     `std_m` is the noise of a position measurement [m]; `V` overrides it with a full covariance, `H` the measured
     part of the state. `frame` says in which frame V is given; its standard deviation grows with the range by
-    the factor 1 + range_growth_per_m r. With `absence = "used"` the Kalman filter that really runs also learns from not
+    the factor 1 + range_growth_per_m r. With `missed_detections = "used"` the Kalman filter that really runs also learns from not
     seeing a target where it looked; left out, only from measurements.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"absence": "missed_detections"}
     std_m: float = 0.2
     V: Matrix | None = None
     H: Matrix | None = None
     frame: Literal["world", "body"] = "world"
     range_growth_per_m: float = 0.0
     """0 where noise does not depend on the range."""
-    absence: Literal["used"] | None = None
-    """What the filter makes of not seeing a target; see models/absence.py."""
+    missed_detections: Literal["used"] | None = None
+    """What the filter makes of not seeing a target; see models/missed_detection.py."""
 
     def __post_init__(self) -> None:
         positive(self, "std_m")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Key, PyTree
 
-from foveate.simulation.environment import Environment, Moment, Transition, observation, renew, reset, step
+from foveate.simulation.environment import Environment, EnvironmentState, Transition, observation, renew, reset, step
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
@@ -37,7 +37,7 @@ class Programs:
     """What steps `count` environments and begins their episodes, each from its own key; compiled on first use."""
 
     def __init__(self, environment: Environment, look: Look, count: int) -> None:
-        def seen(moments: Moment) -> PyTree:
+        def seen(moments: EnvironmentState) -> PyTree:
             left = 1.0 - moments.predicted.step / moments.episode.horizon
             return jax.vmap(look)(jax.vmap(observation)(moments), left)
 
@@ -70,7 +70,7 @@ class Batch:
 
     def __init__(self, programs: Programs, anew: bool = True) -> None:
         self.programs, self.count, self.axes, self.anew = programs, programs.count, programs.axes, anew
-        self.moments: Moment | None = None
+        self.moments: EnvironmentState | None = None
         self.transition: Transition | None = None
 
     def renew(

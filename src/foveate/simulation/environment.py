@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
@@ -35,10 +36,10 @@ class Environment(eqx.Module):
 
     def __check_init__(self) -> None:
         if not self.noise and (not self.protocol.levels or self.protocol.at_truth):
-            raise ValueError("noise = False: expected True with a protocol that asks where targets really are")
+            raise InputError("noise = False: expected True with a protocol that asks where targets really are")
 
 
-class Moment(eqx.Module):
+class EnvironmentState(eqx.Module):
     """An environment between two steps: its episode, and its beliefs predicted one step ahead at the pose T_k.
 
     `score` is the mean log det of the information per target present, now [nat]; `key` makes the next episode.
@@ -65,13 +66,13 @@ class Transition(eqx.Module):
     visible: Bool[Array, "*b n"]
 
 
-def begin(environment: Environment, episode: Episode, key: Key) -> Moment:
+def begin(environment: Environment, episode: Episode, key: Key) -> EnvironmentState:
     """The moment before the first step of an episode."""
     state = start(environment.problem, episode, environment.protocol)
     return _moment(environment, episode, state, _score(state, state.present), key)
 
 
-def reset(environment: Environment, key: Key, targets: Count | None = None) -> Moment:
+def reset(environment: Environment, key: Key, targets: Count | None = None) -> EnvironmentState:
     """A fresh episode of the training distribution; with `targets` > 0 one of so many."""
     episode_key, next_key = jax.random.split(key)
     scenes, noise = environment.scenes, environment.noise
@@ -79,12 +80,12 @@ def reset(environment: Environment, key: Key, targets: Count | None = None) -> M
     return begin(environment, episode, next_key)
 
 
-def observation(moment: Moment) -> Observation:
+def observation(moment: EnvironmentState) -> Observation:
     """What a policy sees; after the last step it has no meaning, but numbers."""
     return observe(moment.predicted, _known_input(moment.episode, moment.predicted), moment.episode.horizon)
 
 
-def step(environment: Environment, moment: Moment, action: Action) -> tuple[Moment, Transition]:
+def step(environment: Environment, moment: EnvironmentState, action: Action) -> tuple[EnvironmentState, Transition]:
     """One step of `rollout`: move, measure, update, and predict what comes next; done when step == horizon."""
     episode, predicted = moment.episode, moment.predicted
     instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
@@ -97,8 +98,8 @@ def step(environment: Environment, moment: Moment, action: Action) -> tuple[Mome
 
 
 def step_and_reset(
-    environment: Environment, moments: Moment, actions: Float[Array, "b m"]
-) -> tuple[Moment, Transition]:
+    environment: Environment, moments: EnvironmentState, actions: Float[Array, "b m"]
+) -> tuple[EnvironmentState, Transition]:
     """One step of a batch: where an episode is over the next one has begun, and the transition shows its end.
 
     Every environment draws its episodes from its own key, so that none depends on what the others do.
@@ -108,8 +109,11 @@ def step_and_reset(
 
 
 def renew(
-    environment: Environment, moments: Moment, over: Bool[Array, " b"], targets: Int[Array, " b"] | None = None
-) -> Moment:
+    environment: Environment,
+    moments: EnvironmentState,
+    over: Bool[Array, " b"],
+    targets: Int[Array, " b"] | None = None,
+) -> EnvironmentState:
     """The next episode in those of a batch whose episode is over, each from its own key; `targets` as in `reset`."""
     count = len(over)
 
@@ -125,9 +129,9 @@ def renew(
     return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), some, (moments, over))[0]
 
 
-def _moment(environment: Environment, episode: Episode, state: State, score: Scalar, key: Key) -> Moment:
+def _moment(environment: Environment, episode: Episode, state: State, score: Scalar, key: Key) -> EnvironmentState:
     predicted = predict(environment.problem, state, _known_input(episode, state))
-    return Moment(episode, predicted, score, key)
+    return EnvironmentState(episode, predicted, score, key)
 
 
 def _known_input(episode: Episode, state: State) -> Float[Array, "n m_y"]:

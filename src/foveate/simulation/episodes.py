@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.simulation.records import Arrivals, Episode, Truth
@@ -95,12 +96,12 @@ def episode_of(
     scene: Drawn,
     noise: Noise,
     with_truth: bool = True,
-    turnover: bool = False,
+    birth_and_death: bool = False,
 ) -> Episode:
     """A scene and its chance as an episode.
 
     Targets that are positions only are driven by the known input xi = tau (drift + jitter) [m]; for longer states the
-    drift is the initial velocity and the input is zero. With `turnover` a target that leaves the scene's box is
+    drift is the initial velocity and the input is zero. With `birth_and_death` a target that leaves the scene's box is
     replaced by a new one that enters at the other side: the stationary crowd of a street.
     """
     motion, d = problem.motion, problem.agent.space.dimension
@@ -136,7 +137,7 @@ def episode_of(
         horizon=scene.horizon,
         truth=truth,
     )
-    return _with_turnover(problem, settings, episode, error) if turnover else episode
+    return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 
 def training_episode(
@@ -154,14 +155,16 @@ def training_episode(
         share = (targets - scenes.targets_min + 0.5) / (scenes.targets_max + 1 - scenes.targets_min)
         uniform = uniform.at[0].set(jnp.where(targets > 0, 2.0 * share - 1.0, uniform[0]))
     scene = draw(scenes, problem, uniform, test)
-    return episode_of(problem, scenes, scene, chance, with_truth=noise, turnover=noise and scenes.turnover)
+    return episode_of(
+        problem, scenes, scene, chance, with_truth=noise, birth_and_death=noise and scenes.birth_and_death
+    )
 
 
-def _with_turnover(
+def _with_birth_and_death(
     problem: Problem, settings: SceneSettings, episode: Episode, error: Float[Array, "n n_y"]
 ) -> Episode:
     """Wrap the truth around the scene's box; a target that wraps is absent for one instant and then a new one."""
-    assert episode.truth is not None, "turnover moves the truth"
+    assert episode.truth is not None, "birth and death moves the truth"
     states, motion = episode.truth.state, problem.motion
     half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * jnp.sum(episode.present)
     low = jnp.array(settings.centre_m) - half_side
@@ -216,7 +219,7 @@ def scene_episodes(
     Shapes: a leading axis of len(scenes) * episodes; n and K are the largest of any scene (n at least 1).
     """
     if not problem.motion.takes_drift and (moving := [scene.id for scene in scenes if scene.motion == "biased"]):
-        raise ValueError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
+        raise InputError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
     n = max(1, *(len(scene.targets) for scene in scenes))
     steps = max(scene.horizon for scene in scenes)
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]

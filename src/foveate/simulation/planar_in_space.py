@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry.fov_spatial import prism
 from foveate.geometry.space import SPACES
 from foveate.models.agent import Agent
@@ -22,44 +23,44 @@ _AXES = (0, 1, 5)
 """Where v_x, v_y and w_z of a planar twist stand in a spatial one."""
 
 
-def lifted_problem(problem: Problem) -> Problem:
+def embedded_problem(problem: Problem) -> Problem:
     """The planar problem in space: the view without end along z, targets with the states they have, at z = 0.
 
     Raises ValueError for a problem in space, and for sensor noise given in the body frame: it is planar.
     """
     if problem.agent.space.dimension != 2:
-        raise ValueError("the problem is in space already: expected a planar one")
+        raise InputError("the problem is in space already: expected a planar one")
     if problem.sensor.frame == "body":
-        raise ValueError("sensor.frame = 'body': a planar V does not turn in space; expected 'world'")
+        raise InputError("sensor.frame = 'body': a planar V does not turn in space; expected 'world'")
     agent, sensor, schedule = problem.agent, problem.sensor, problem.schedule
     if schedule is not None:
-        schedule = Schedule(schedule.tau, _lifted_motion(schedule.motion), schedule.V)
+        schedule = Schedule(schedule.tau, _embedded_motion(schedule.motion), schedule.V)
     return Problem(
         agent=Agent(SPACES["spatial"], tuple(_AXES[axis] for axis in agent.axes), agent.lower, agent.upper),
         sensor=Sensor(sensor.H, sensor.V, prism(sensor.view), sensor.range_growth, sensor.frame),
-        motion=_lifted_motion(problem.motion),
+        motion=_embedded_motion(problem.motion),
         tau=problem.tau,
         prior_information=problem.prior_information,
         schedule=schedule,
     )
 
 
-def _lifted_motion(motion: LinearGaussian) -> LinearGaussian:
+def _embedded_motion(motion: LinearGaussian) -> LinearGaussian:
     floor = jnp.zeros_like(motion.Z[..., :1, :])
     return eqx.tree_at(lambda m: m.Z, motion, jnp.concatenate([motion.Z, floor], axis=-2))
 
 
-def lifted_pose(pose: Float[Array, "3"]) -> Float[Array, "4 4"]:
+def embedded_pose(pose: Float[Array, "3"]) -> Float[Array, "4 4"]:
     """The level pose on the floor, z = 0, at planar [x, y, yaw]."""
     return SPACES["spatial"].upright(jnp.append(pose[:2], 0.0), pose[2])
 
 
-def lifted_episode(episode: Episode) -> Episode:
+def embedded_episode(episode: Episode) -> Episode:
     """A planar episode with its pose in space; all else is as it was."""
-    return eqx.tree_at(lambda e: e.pose, episode, lifted_pose(episode.pose))
+    return eqx.tree_at(lambda e: e.pose, episode, embedded_pose(episode.pose))
 
 
-class Lifted(Policy):
+class EmbeddedPolicy(Policy):
     """A planar policy that decides for a level body on the floor of space."""
 
     planar: Policy

@@ -77,7 +77,7 @@ class Trace(eqx.Module):
     """What happened in one episode; entries after `horizon` steps are padding.
 
     `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
-    `refusals` counts the measurements that a gate has refused in a row; None without a gate.
+    `rejections` counts the measurements that a gate has rejected in a row; None without a gate.
     """
 
     pose: Float[Array, "instants ..."]
@@ -87,7 +87,7 @@ class Trace(eqx.Module):
     log_det: Float[Array, "K n"]
     visible: Bool[Array, "K n"]
     present: Bool[Array, "instants n"]
-    refusals: Int[Array, "K n"] | None = None
+    rejections: Int[Array, "K n"] | None = None
 
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
@@ -101,7 +101,7 @@ class Protocol(NamedTuple):
     With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
     the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
     training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter; if the
-    sensor's `uses_absence` says so, it learns from looking in vain, too. With a `gate` it refuses measurements whose
+    sensor's `uses_missed_detections` says so, it learns from looking in vain, too. With a `gate` it rejects measurements whose
     squared distance to their prediction is above that (see `models.gate`).
     """
 
@@ -119,7 +119,7 @@ TRUE = Protocol(levels=())
 PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
 
 
-class Back(NamedTuple):
+class Backpropagation(NamedTuple):
     """How a gradient goes back through the steps of an episode.
 
     With `segment`, only the states at the beginnings of so many steps at a time are remembered, and a segment is run
@@ -131,13 +131,13 @@ class Back(NamedTuple):
     window: int | None = None
 
 
-WHOLE = Back()
+FULL_BACKPROPAGATION = Backpropagation()
 
 
 class State(eqx.Module):
     """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one).
 
-    `refusals` counts each target's measurements that were refused in a row; None without a gate.
+    `rejections` counts each target's measurements that were rejected in a row; None without a gate.
     """
 
     step: Count
@@ -145,7 +145,7 @@ class State(eqx.Module):
     mean: Float[Array, "n n_y"]
     information: Float[Array, "levels n n_y n_y"]
     present: Bool[Array, " n"]
-    refusals: Int[Array, " n"] | None = None
+    rejections: Int[Array, " n"] | None = None
 
 
 class Reality(eqx.Module):

@@ -11,12 +11,20 @@ from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.simulation.records import WHOLE, Back, Episode, Policy, Protocol, Trace
+from foveate.simulation.records import FULL_BACKPROPAGATION, Backpropagation, Episode, Policy, Protocol, Trace
 from foveate.simulation.step import act, instants, observe, predict, start
 from foveate.types import Key
 
 
-def _scan(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record, back: Back = WHOLE):
+def _scan(
+    problem: Problem,
+    policy: Policy,
+    episode: Episode,
+    protocol: Protocol,
+    key: Key,
+    record,
+    back: Backpropagation = FULL_BACKPROPAGATION,
+):
     """Run all steps; `record(state, action, visible, weight)` says what to keep of each."""
 
     def step(carry, instant):
@@ -60,10 +68,10 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
 
     def record(state, action, visible, weight):
         del weight
-        return state.pose, action, state.mean, state.information[-1], visible, state.present, state.refusals
+        return state.pose, action, state.mean, state.information[-1], visible, state.present, state.rejections
 
     first, kept = _scan(problem, policy, episode, protocol, key, record)
-    pose, action, mean, information, visible, present, refusals = kept
+    pose, action, mean, information, visible, present, rejections = kept
 
     def with_first(initial, later):
         return jnp.concatenate([initial[None], later])
@@ -76,12 +84,17 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         log_det=log_det_spd(information),
         visible=visible,
         present=with_first(first.present, present),
-        refusals=refusals,
+        rejections=rejections,
     )
 
 
 def log_dets(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Back = WHOLE
+    problem: Problem,
+    policy: Policy,
+    episode: Episode,
+    protocol: Protocol,
+    key: Key,
+    back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> Float[Array, "K n"]:
     """log det Y_k of every target after every step, the mean over the levels: what training differentiates."""
 
@@ -93,7 +106,12 @@ def log_dets(
 
 
 def weights(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Back = WHOLE
+    problem: Problem,
+    policy: Policy,
+    episode: Episode,
+    protocol: Protocol,
+    key: Key,
+    back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> Float[Array, "K n"]:
     """How far every target is in view after every step, 1 - Phi in the mean over the levels."""
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from foveate.geometry.linalg import cholesky_spd, multiply
 from foveate.models import belief, gate
 from foveate.models.belief import Belief
-from foveate.models.missed_detection import given_unseen
+from foveate.models.missed_detection import given_missed_detection
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import detection_weight
 from foveate.simulation.records import Arrival, Episode, Instant, Observation, Protocol, Reality, State
@@ -39,7 +39,7 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
         mean=episode.mean,
         information=jnp.broadcast_to(information, (levels, *information.shape)),
         present=present,
-        refusals=None if protocol.gate is None else jnp.zeros(present.shape, int),
+        rejections=None if protocol.gate is None else jnp.zeros(present.shape, int),
     )
 
 
@@ -53,7 +53,7 @@ def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) 
         mean=problem.motion.advance(state.mean, known_input),
         information=ahead(state.information, problem.motion),
         present=state.present,
-        refusals=state.refusals,
+        rejections=state.rejections,
     )
 
 
@@ -82,7 +82,7 @@ def act(
     covariance = jax.vmap(sensor.covariance, (None, 0))(rotation, point_body)
     gain = jax.vmap(sensor.information)(covariance)
 
-    mean, refusals = predicted.mean, predicted.refusals
+    mean, rejections = predicted.mean, predicted.rejections
     inside = visible = jnp.zeros(predicted.present.shape, bool)
     restarts, anew = None, None
     weighed_point_body = point_body
@@ -100,9 +100,9 @@ def act(
         )
         visible = inside
         if protocol.gate is not None:
-            assert refusals is not None, "`start` counts them where there is a gate"
-            visible, restarts, refusals, anew = _gated(
-                problem, protocol.gate, predicted, refusals, inside, measurement, covariance
+            assert rejections is not None, "`start` counts them where there is a gate"
+            visible, restarts, rejections, anew = _gated(
+                problem, protocol.gate, predicted, rejections, inside, measurement, covariance
             )
         mean = jnp.where(visible[:, None], corrected, mean)
 
@@ -116,9 +116,9 @@ def act(
     if restarts is not None and anew is not None:
         mean = jnp.where(restarts[:, None], anew.mean, mean)
         information = jnp.where(restarts[:, None, None], anew.information, information)
-    if sensor.uses_absence and not protocol.levels and instant.reality is not None:
+    if sensor.uses_missed_detections and not protocol.levels and instant.reality is not None:
         is_inside = partial(_in_view, problem, pose)
-        left = jax.vmap(lambda m, Y: given_unseen(Belief(m, Y), motion.Z, is_inside))(mean, information[0])
+        left = jax.vmap(lambda m, Y: given_missed_detection(Belief(m, Y), motion.Z, is_inside))(mean, information[0])
         mean = jnp.where(inside[:, None], mean, left.mean)
         information = jnp.where(inside[:, None, None], information, left.information)
 
@@ -128,30 +128,30 @@ def act(
         mean = jnp.where(begins[:, None], arrival.mean, mean)
         information = jnp.where(begins[:, None, None], problem.prior_information, information)
         present = arrival.present
-        refusals = None if refusals is None else jnp.where(begins, 0, refusals)
-    return State(predicted.step + 1, pose, mean, information, present, refusals), visible, weight
+        rejections = None if rejections is None else jnp.where(begins, 0, rejections)
+    return State(predicted.step + 1, pose, mean, information, present, rejections), visible, weight
 
 
 def _gated(
     problem: Problem,
     limit: float,
     predicted: State,
-    refusals: Int[Array, " n"],
+    rejections: Int[Array, " n"],
     inside: Bool[Array, " n"],
     measurement: Float[Array, "n n_z"],
     covariance: Float[Array, "n n_z n_z"],
 ) -> tuple[Bool[Array, " n"], Bool[Array, " n"], Int[Array, " n"], Belief]:
-    """Whose measurement is taken, whose belief begins anew with it, the refusals in a row, and these new beliefs."""
+    """Whose measurement is taken, whose belief begins anew with it, the rejections in a row, and these new beliefs."""
     H, first = problem.sensor.H, problem.prior_information
 
     def look(mean, information, z, V):
         return gate.squared_distance(Belief(mean, information), z, H, V), gate.one_point(first, z, H, V)
 
     distance, anew = jax.vmap(look)(predicted.mean, predicted.information[-1], measurement, covariance)
-    refused = inside & ~(distance <= limit)
-    restarts = refused & (refusals + 1 >= gate.RESTART_AFTER)
-    taken = (inside & ~refused) | restarts
-    return taken, restarts, jnp.where(taken, 0, refusals + refused), anew
+    rejected = inside & ~(distance <= limit)
+    restarts = rejected & (rejections + 1 >= gate.RESTART_AFTER)
+    taken = (inside & ~rejected) | restarts
+    return taken, restarts, jnp.where(taken, 0, rejections + rejected), anew
 
 
 def _in_view(problem: Problem, pose: Pose, positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:

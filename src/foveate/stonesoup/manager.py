@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from foveate.errors import InputError
 from foveate.geometry import fov, fov_planar
 from foveate.models.agent import Agent
 from foveate.models.problem import Problem
@@ -48,7 +49,7 @@ def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, 
         order = tuple(i + stride * part for part in range(parts) for i in first)
         if not rest and sorted(order) == list(range(ndim_state)):
             return order
-    raise ValueError(
+    raise InputError(
         f"position_mapping = {first} of {ndim_state} numbers: expected positions with as many derivatives each, "
         "as [x, vx, y, vy] or [x, y, vx, vy]"
     )
@@ -115,13 +116,13 @@ class PolicySensorManager(SensorManager):
         super().__init__(*args, **kwargs)
         sensors: Any = self.sensors
         if len(sensors) != 1:
-            raise ValueError(f"{len(sensors)} sensors: expected one, which the policy steers")
+            raise InputError(f"{len(sensors)} sensors: expected one, which the policy steers")
         (self._sensor,) = sensors
         self._agent = _body_of(self._sensor).agent
         _, measurement = _linear(self._sensor, self.predictor)
         self._order = list(state_order(_mapping(self._sensor), measurement.ndim_state))
         if not self.platforms and not getattr(self._sensor, "steers", False):
-            raise ValueError("platforms is empty: expected the sensor's platform, or a ViewSensor with steers=True")
+            raise InputError("platforms is empty: expected the sensor's platform, or a ViewSensor with steers=True")
         self._memory, self._size, self._step = None, -1, 0
         if self.trained_for is not None:
             self._warn(self.trained_for)
@@ -131,7 +132,7 @@ class PolicySensorManager(SensorManager):
     ) -> list[dict[Any, tuple[TwistAction, ...]]]:
         """The policy's one command until `timestamp`. Raises ValueError where more than one is asked for."""
         if nchoose != 1:
-            raise ValueError(f"nchoose = {nchoose}: expected 1, a policy has one answer")
+            raise InputError(f"nchoose = {nchoose}: expected 1, a policy has one answer")
         seen = self._seen(tracks, timestamp)
         if len(seen["present"]) != self._size:
             self._size, self._memory = len(seen["present"]), _begin(self.policy, seen)
@@ -146,7 +147,7 @@ class PolicySensorManager(SensorManager):
         ordered = sorted(tracks, key=lambda track: track.id)
         for track in ordered:
             if not hasattr(track.state, "covar"):
-                raise ValueError(f"track {track.id}: {type(track.state).__name__}: expected a Gaussian state")
+                raise InputError(f"track {track.id}: {type(track.state).__name__}: expected a Gaussian state")
         n, n_y, d = len(ordered), len(self._order), self._agent.space.dimension
         size = self.pad_to * max(1, -(-n // self.pad_to))
         mean, covariance = np.zeros((size, n_y)), np.broadcast_to(np.eye(n_y), (size, n_y, n_y)).copy()
@@ -202,9 +203,9 @@ def _body_of(sensor: Any) -> BodyMovable:
     """The body that carries a sensor, which must look where it heads."""
     body = sensor.movement_controller
     if not isinstance(body, BodyMovable):
-        raise ValueError(f"the sensor is carried by {type(body).__name__}: expected a BodyMovable, which has a heading")
+        raise InputError(f"the sensor is carried by {type(body).__name__}: expected a BodyMovable, which has a heading")
     if np.any(sensor.mounting_offset) or np.any(sensor.rotation_offset):
-        raise ValueError("the sensor has an offset from its platform: expected none; put it into the field of view")
+        raise InputError("the sensor has an offset from its platform: expected none; put it into the field of view")
     return body
 
 
@@ -213,7 +214,7 @@ def _linear(sensor: Any, predictor: Predictor) -> tuple[Any, Any]:
     models = predictor.transition_model, sensor.measurement_model
     for owner, model in zip((predictor, sensor), models, strict=True):
         if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
-            raise ValueError(
+            raise InputError(
                 f"{type(owner).__name__} has a {type(model).__name__}: expected a linear-Gaussian model; "
                 "foveate's beliefs are those of a Kalman filter"
             )
@@ -230,7 +231,7 @@ def _view_of(sensor: Any, agent: Agent) -> fov.FieldOfView:
         return view
     radius, angle = getattr(sensor, "max_range", None), getattr(sensor, "fov_angle", None)
     if radius is None or angle is None or agent.space.dimension != 2:
-        raise ValueError(
+        raise InputError(
             f"{type(sensor).__name__} has no field of view: expected `view`, or `max_range` and `fov_angle`"
         )
     return fov_planar.sector(float(radius), float(angle))

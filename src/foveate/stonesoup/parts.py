@@ -17,6 +17,7 @@ from stonesoup.sensormanager.action import Action, ActionGenerator
 from stonesoup.types.array import CovarianceMatrix, StateVector
 from stonesoup.types.state import State
 
+from foveate.errors import InputError
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
@@ -102,11 +103,11 @@ class BodyMovable(FixedMovable):
         super().__init__(*args, **kwargs)
         axes, d = len(self.agent.axes), self.agent.space.dimension
         if self.ndim != d:
-            raise ValueError(f"position_mapping = {self.position_mapping}: expected {d} entries, as the agent's space")
+            raise InputError(f"position_mapping = {self.position_mapping}: expected {d} entries, as the agent's space")
         if self.levels is None:
             self.levels = (5,) * axes
         if len(self.levels) != axes:
-            raise ValueError(f"levels = {self.levels}: expected {axes} numbers, one for each actuated axis")
+            raise InputError(f"levels = {self.levels}: expected {axes} numbers, one for each actuated axis")
         self.orientation = StateVector(np.asarray(self.orientation, float).ravel())
         self._command: Action | None = None
 

@@ -1,4 +1,4 @@
-"""What rows of several methods say: cells with closeness, the spread over training seeds, paired differences.
+"""What rows of several methods say: cells with normalised_score, the spread over training seeds, paired differences.
 
 The unit that is independent is the scene: a method that was trained with several seeds counts with its mean over them.
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from foveate.evaluation.bounds import Cell, with_closeness
+from foveate.evaluation.bounds import Cell, with_normalised_scores
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.statistics import holm, paired
 from foveate.evaluation.summary import Summary, summarise
@@ -63,7 +63,7 @@ class Overall:
     family: str
     protocol: str
     mean: float
-    closeness: float | None
+    normalised_score: float | None
     seen_fraction: float
     step_time_s: float
 
@@ -87,12 +87,12 @@ def compare(parts: Sequence[Part], reference: str, floors: Mapping[Cell, float],
     rows = [row for part in parts for row in part.rows]
     plain = summarise(rows, state_size)
     ceiling = [cell for cell in plain if cell.method == "omniscient"]
-    summary = with_closeness(plain, ceiling, floors)
+    summary = with_normalised_scores(plain, ceiling, floors)
     by_seed = [
         BySeed(training_seed=part.training_seed, cell=cell)
         for part in parts
         if part.training_seed is not None
-        for cell in with_closeness(summarise(part.rows, state_size), ceiling, floors)
+        for cell in with_normalised_scores(summarise(part.rows, state_size), ceiling, floors)
     ]
     families = {part.method: part.family for part in parts}
     return Comparison(
@@ -149,14 +149,14 @@ def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[
     found = []
     for (method, protocol), by_cell in times.items():
         cells = [cell for cell in summary if (cell.method, cell.protocol) == (method, protocol)]
-        close = [cell.closeness for cell in cells if cell.closeness is not None]
+        close = [cell.normalised_score for cell in cells if cell.normalised_score is not None]
         found.append(
             Overall(
                 method=method,
                 family=families[method],
                 protocol=protocol,
                 mean=float(np.mean([cell.mean for cell in cells])),
-                closeness=float(np.mean(close)) if len(close) == len(cells) else None,
+                normalised_score=float(np.mean(close)) if len(close) == len(cells) else None,
                 seen_fraction=float(np.mean([cell.seen_fraction for cell in cells])),
                 step_time_s=float(np.mean([np.mean(seconds) for seconds in by_cell.values()])),
             )

@@ -13,9 +13,10 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
-from foveate.experiment.run_folder import read_checks
+from foveate.errors import InputError
+from foveate.experiment.run_folder import read_validations
 from foveate.learning.loop import METRICS
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import (
     BLACK,
@@ -26,7 +27,7 @@ from foveate.plotting.scene import (
     PALE,
     PURPLE,
     VERMILLION,
-    Stage,
+    PlanarScene,
     clean,
     limits,
     new_figure,
@@ -69,7 +70,7 @@ class Curve:
 
 def curve_of(run: Path) -> Curve:
     """The curve of a run folder; a score that was not finite is missing."""
-    checks = read_checks(run / METRICS)
+    checks = read_validations(run / METRICS)
     return Curve(
         steps=np.array([float(check.env_steps) for check in checks]),
         seconds=np.array([check.elapsed_s for check in checks]),
@@ -84,7 +85,7 @@ def learning_curves(learners: Mapping[str, tuple[str, Sequence[Curve]]], path: P
     protocols have panels one below the other. Raises ValueError for none.
     """
     if not learners:
-        raise ValueError("no learner to draw: expected at least one")
+        raise InputError("no learner to draw: expected at least one")
     protocols = list(dict.fromkeys(protocol for protocol, _ in learners.values()))
     figure = new_figure(WIDTH, 0.5 + 3.1 * len(protocols))
     panels = figure.subplots(len(protocols), 2, squeeze=False, sharey="row")
@@ -127,14 +128,14 @@ def _log_axis(axes: Axes, subs: Sequence[float] = (1.0, 2.0, 5.0), right: float 
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[Film, Film]], path: Path) -> None:
+def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[EpisodeData, EpisodeData]], path: Path) -> None:
     """Two methods in the same scenes, a row each: the start, a third, two thirds and the end.
 
     Each method has one colour: path, view (triangle), and the 95 % ellipses about its believed means, solid where it
     measures at that instant, dashed where not. Targets are squares. Raises ValueError for no scene.
     """
     if not scenes:
-        raise ValueError("no scene to draw: expected at least one")
+        raise InputError("no scene to draw: expected at least one")
     side = WIDTH / COLUMNS
     figure = new_figure(WIDTH, (side + 0.45) * len(scenes) + 0.35)
     rows = figure.subfigures(len(scenes), 1, squeeze=False)[:, 0]
@@ -147,7 +148,7 @@ def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[Film, Film]], pat
         for column in range(COLUMNS):
             instant = round(film.steps * column / (COLUMNS - 1))
             axes = row.add_subplot(1, COLUMNS, column + 1)
-            stages = [Stage(axes, one, box, tint=tint) for one, tint in zip(pair, DUEL, strict=True)]
+            stages = [PlanarScene(axes, one, box, tint=tint) for one, tint in zip(pair, DUEL, strict=True)]
             for stage in stages:
                 stage.show(SUBSTEPS * instant)
             stages[0].label(8.0, x=row is rows[-1], y=column == 0)
@@ -156,7 +157,7 @@ def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[Film, Film]], pat
     save(figure, path)
 
 
-def _score(film: Film) -> str:
+def _score(film: EpisodeData) -> str:
     return "" if film.score is None else f"{film.score:.2f}"
 
 
@@ -176,7 +177,7 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
     The omniscient planner, which decides with what nobody can know, is a dashed line. Raises ValueError for no method.
     """
     if not overall:
-        raise ValueError("no method to draw: expected at least one")
+        raise InputError("no method to draw: expected at least one")
     protocols = list(dict.fromkeys(one.protocol for one in overall))
     figure = new_figure(WIDTH, 4.6)
     panels = figure.subplots(1, len(protocols), squeeze=False, sharey=True)[0]

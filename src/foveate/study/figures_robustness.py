@@ -9,9 +9,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from foveate.errors import InputError
 from foveate.plotting.figures import WIDTH
 from foveate.plotting.scene import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION, clean, new_figure, save
-from foveate.study.robustness import CEILING, Factor, Verdict
+from foveate.study.robustness import ORACLE, Factor, Verdict
 
 COLUMNS = 4
 
@@ -33,14 +34,14 @@ def robustness_figure(
     knew a grey band. All panels share the score's axis. Raises ValueError for no factor.
     """
     if not factors:
-        raise ValueError("no factor to draw: expected at least one")
+        raise InputError("no factor to draw: expected at least one")
     rows = -(-len(factors) // COLUMNS)
     columns = min(COLUMNS, len(factors))
     figure = new_figure(WIDTH, 2.35 * rows + 0.5)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     names = list(dict.fromkeys(one.method for factor in factors for one in found[factor.name]))
-    by_hand_or_trained = [name for name in names if name != CEILING]
-    styles = {**dict(zip(by_hand_or_trained, STYLES * len(names), strict=False)), CEILING: DASHED}
+    by_hand_or_trained = [name for name in names if name != ORACLE]
+    styles = {**dict(zip(by_hand_or_trained, STYLES * len(names), strict=False)), ORACLE: DASHED}
     for axes, factor in zip(panels.flat, factors, strict=False):
         _panel(axes, factor, found[factor.name], styles)
     for axes in panels.flat[len(factors) :]:
@@ -69,7 +70,7 @@ def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapp
         ours = [one for one in verdicts if one.method == method]
         color, marker, line = styles[method]
         x, mean = [one.value for one in ours], np.array([one.mean for one in ours])
-        bars = None if method == CEILING else np.abs(np.array([one.ci95 for one in ours]).T - mean)
+        bars = None if method == ORACLE else np.abs(np.array([one.ci95 for one in ours]).T - mean)
         axes.errorbar(x, mean, bars, color=color, marker=marker, ls=line, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2)
     floors = {one.value: one.floor for one in verdicts}
     axes.plot(list(floors), list(floors.values()), color=GREY, ls=":", lw=1.4)

@@ -11,15 +11,15 @@ from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
-from foveate.evaluation.bounds import ceiling_rows
+from foveate.errors import InputError
+from foveate.evaluation.bounds import oracle_rows
 from foveate.evaluation.evaluate import Row, Suite, evaluate
 from foveate.evaluation.planners import planner, planner_rows
 from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import PPO, PRESETS
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
-from foveate.policies.heuristics import METHODS as HANDMADE
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import HEURISTICS, heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
 
 Report = Callable[[int], None]
@@ -87,7 +87,7 @@ class Learned(Acting):
     def policy(self, world: Experiment, trained: Policy | None) -> Policy:
         """What was trained."""
         if trained is None:
-            raise ValueError(f"method {self.name}: has no training: expected Learned(training=Training(..))")
+            raise InputError(f"method {self.name}: has no training: expected Learned(training=Training(..))")
         return trained
 
 
@@ -132,14 +132,14 @@ class Planned(Method):
 
 @dataclass(frozen=True, kw_only=True)
 class Omniscient(Method):
-    """The planner that knows the future: what closeness is measured by."""
+    """The planner that knows the future: what normalised_score is measured by."""
 
     name: str = "omniscient"
     family: str = "omniscient"
 
     def rows(self, bench: Bench, protocol: str, policy: Policy | None, report: Report) -> list[Row]:
         """The rows of its plans, made here or kept."""
-        return ceiling_rows(bench.suite, protocol, report)
+        return oracle_rows(bench.suite, protocol, report)
 
     def settings(self, protocol: str) -> dict[str, Any]:
         """How the plans are made."""
@@ -177,7 +177,7 @@ def paper_methods(quick: bool = False) -> tuple[Method, ...]:
             Planned(name=f"icr-{starts}", plans={name: replace(plan, starts=starts) for name, plan in ONLINE.items()})
             for starts in (QUICK_STARTS if quick else STARTS)
         ),
-        *(_by_hand(name) for name in HANDMADE),
+        *(_by_hand(name) for name in HEURISTICS),
     )
 
 
@@ -204,7 +204,7 @@ def true_view_methods(quick: bool = False) -> tuple[Method, ...]:
         *(Learned(name=training.name, training=training) for training in (paper, ours)),
         *(() if quick else (_refined(ours),)),
         *(Planned(name=name, plans={"true": plan}) for name, plan in (("icr", icr), ("icr-16", many)) if not quick),
-        *(_by_hand(name) for name in HANDMADE),
+        *(_by_hand(name) for name in HEURISTICS),
     )
 
 
@@ -231,6 +231,6 @@ def can_train(name: str) -> bool:
 
 def _by_hand(name: str) -> Fixed:
     def make(world: Experiment) -> Policy:
-        return handmade(name, world.scenario.problem(), float(world.scenario.view.depth_m))
+        return heuristic(name, world.scenario.problem(), float(world.scenario.view.depth_m))
 
     return Fixed(name=name, make=make)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from foveate.evaluation.bounds import floors
+from foveate.evaluation.bounds import lower_bounds
 from foveate.evaluation.evaluate import Row, prepare
 from foveate.experiment.presets import PPO
 from foveate.io.files import write_atomic, write_document
@@ -14,7 +14,7 @@ from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest
 from foveate.plotting.animation import animate
-from foveate.plotting.episode_data import Film, films
+from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.study.comparison import Comparison, as_json, compare
 from foveate.study.figures import curve_of, duel_figure, learning_curves, pareto_figure
 from foveate.study.figures_robustness import robustness_figure
@@ -47,7 +47,7 @@ def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     """Write all files into the folder `out`, and give what they show: a comparison for each first error."""
     bench, trained = bench_of(study, study.initial_errors[0]), results.trained
     problem = bench.suite.problem
-    lowest = floors(problem, bench.suite.scenes)
+    lowest = lower_bounds(problem, bench.suite.scenes)
     comparisons = []
     for error in study.initial_errors:
         parts = [part for part in results.parts if part.initial_error == error]
@@ -104,7 +104,7 @@ def _episodes(study: Study, bench: Bench, out: Path, comparison: Comparison) -> 
     suite = prepare(bench.suite.problem, bench.world.scenario.scenes, scenes, study.noise_seed)
     (out / EPISODES).mkdir(exist_ok=True)
     for name, shot in zip(
-        chosen, films(suite, method.policy(bench.world, trained), part.protocol, method.name), strict=True
+        chosen, suite_data(suite, method.policy(bench.world, trained), part.protocol, method.name), strict=True
     ):
         animate(shot, out / EPISODES / f"{name}.gif")
 
@@ -142,13 +142,13 @@ def _conditions(study: Study, trained: Sequence[Trained]) -> dict[str, str]:
     stopped = [f"{one.name}-{one.seed}: {one.outcome.stopped}" for one in trained if one.outcome.stopped]
     missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]
     made = provenance()
-    returns = [f"{one.name}-{one.seed} ({one.outcome.returns})" for one in trained if one.outcome.returns]
+    rollbacks = [f"{one.name}-{one.seed} ({one.outcome.rollbacks})" for one in trained if one.outcome.rollbacks]
     return {
         "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
         f"one noise draw a scene (seed {study.noise_seed}), the same for every method",
         "training seeds": ", ".join(map(str, study.seeds)) + (" (trainings cut short)" if study.quick else ""),
         "reference": study.reference,
-        "collapsed trainings that went back to their best": ", ".join(returns) or "none",
+        "collapsed trainings that went back to their best": ", ".join(rollbacks) or "none",
         "trainings that stopped early": "; ".join(stopped) or "none",
         "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
         "versions": f"foveate {made['foveate']}, jax {made['jax']}, {made['device']}, {os.cpu_count()} cores",
@@ -176,7 +176,9 @@ def _rival(study: Study, comparison: Comparison, protocol: str) -> Acting | None
     return None if best is None else methods.get(best.method)
 
 
-def _duels(study: Study, bench: Bench, out: Path, rival: Acting, protocol: str) -> list[tuple[Film, Film]]:
+def _duels(
+    study: Study, bench: Bench, out: Path, rival: Acting, protocol: str
+) -> list[tuple[EpisodeData, EpisodeData]]:
     """Both in the first biased scene of every number of targets; of trained ones the policy of the first seed."""
     first: dict[int, Any] = {}
     for scene in bench.suite.scenes:
@@ -189,5 +191,5 @@ def _duels(study: Study, bench: Bench, out: Path, rival: Acting, protocol: str) 
         assert isinstance(method, Acting)
         unit = RowsUnit(method=method, seed=study.seeds[0], protocol=protocol)
         policy = None if unit.training is None else trained_policy(out, unit.training)
-        shown.append(films(suite, method.policy(study.world, policy), protocol, method.name))
+        shown.append(suite_data(suite, method.policy(study.world, policy), protocol, method.name))
     return list(zip(*shown, strict=True))

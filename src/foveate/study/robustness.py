@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from foveate.evaluation.bounds import closeness, floors
+from foveate.evaluation.bounds import lower_bounds, normalised_score
 from foveate.evaluation.evaluate import prepare, simulate
 from foveate.evaluation.metrics import measures
 from foveate.evaluation.statistics import mean_interval, paired
@@ -21,8 +21,8 @@ TARGETS = 5
 """In every scene, where their number is not the factor."""
 
 
-CEILING = "omniscient"
-"""The method that closeness is measured by."""
+ORACLE = "omniscient"
+"""The method that normalised_score is measured by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ class Verdict:
     ci95: tuple[float, float]
     seen_fraction: float
     floor: float
-    closeness: float | None
+    normalised_score: float | None
     difference: float | None
     difference_ci95: tuple[float, float] | None
     by_seed: tuple[float, ...]
@@ -144,7 +144,7 @@ def points(
     found = []
     for value, bench in benches.items():
         scores, seen = _scores(method, bench, protocol, policy)
-        (floor,) = floors(bench.suite.problem, bench.suite.scenes).values()
+        (floor,) = lower_bounds(bench.suite.problem, bench.suite.scenes).values()
         found.append(
             Point(
                 factor=factor.name, value=value, method=method.name, training_seed=training_seed, floor=floor,
@@ -181,7 +181,7 @@ def verdicts(factor: Factor, found: Sequence[Point]) -> list[Verdict]:
 def _verdict(factor: Factor, group: Sequence[Point], grouped: Mapping[tuple[str, float], Sequence[Point]]) -> Verdict:
     first = group[0]
     scores = _by_scene(group)
-    best = grouped.get((CEILING, first.value))
+    best = grouped.get((ORACLE, first.value))
     nominal = _by_scene(grouped[first.method, factor.nominal])
     difference = paired(scores, nominal) if factor.same_scenes else None
     return Verdict(
@@ -192,7 +192,9 @@ def _verdict(factor: Factor, group: Sequence[Point], grouped: Mapping[tuple[str,
         ci95=mean_interval(scores),
         seen_fraction=float(np.mean([point.seen for point in group])),
         floor=first.floor,
-        closeness=None if best is None else closeness(float(scores.mean()), first.floor, float(_by_scene(best).mean())),
+        normalised_score=None
+        if best is None
+        else normalised_score(float(scores.mean()), first.floor, float(_by_scene(best).mean())),
         difference=None if difference is None else difference.mean,
         difference_ci95=None if difference is None else difference.ci95,
         by_seed=tuple(float(np.mean(point.scores)) for point in group),

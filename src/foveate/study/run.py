@@ -12,11 +12,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
-from foveate.experiment.run_folder import BEST, LAST, Check, Outcome
+from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
 from foveate.io.files import read_document, sole_writer, write_atomic, write_document
 from foveate.learning.train import train
 from foveate.simulation.records import Policy
@@ -39,7 +40,7 @@ Say = Callable[[str], None]
 """Takes a line for the user."""
 
 
-Report = Callable[[Check, int], None]
+Report = Callable[[Validation, int], None]
 """Takes every check of a training, and of how many epochs or steps it has."""
 
 
@@ -130,7 +131,7 @@ def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, note: Say,
     if outcome is None or not (run / BEST).exists():
         path.unlink(missing_ok=True)
 
-        def report(check: Check, total: int) -> None:
+        def report(check: Validation, total: int) -> None:
             done = check.env_steps if isinstance(experiment.training, PPOSettings) else check.epoch
             note(f"{done} of {total}, held-out {check.held_out:.2f}")
             if check.event:
@@ -138,7 +139,7 @@ def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, note: Say,
 
         outcome = _train(unit, run, path.with_suffix(".begun"), wanted, report, say)
         if not math.isfinite(outcome.best_score):
-            raise ValueError(f"{run}: no check of this training was finite, so there is no policy: {outcome.stopped}")
+            raise InputError(f"{run}: no check of this training was finite, so there is no policy: {outcome.stopped}")
         write_document(path, "unit", VERSION, {"key": wanted, "result": asdict(outcome)})
     return Trained(name=unit.training.name, seed=unit.seed, run=run, experiment=experiment, outcome=outcome)
 
@@ -218,9 +219,9 @@ def _check(unit: RowsUnit, bench: Bench, rows: Sequence[Row]) -> None:
     suite = bench.suite
     expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
     if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
-        raise ValueError(f"method {unit.method.name}: gave {len(rows)} rows: expected one an episode of the suite")
+        raise InputError(f"method {unit.method.name}: gave {len(rows)} rows: expected one an episode of the suite")
     if {(row.method, row.protocol) for row in rows} - {(unit.method.name, unit.protocol)}:
-        raise ValueError(f"method {unit.method.name}: its rows name another method or protocol than {unit.protocol}")
+        raise InputError(f"method {unit.method.name}: its rows name another method or protocol than {unit.protocol}")
 
 
 def trained_policy(out: Path, unit: TrainingUnit) -> Policy:

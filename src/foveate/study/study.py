@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from foveate import __version__
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import prepare
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
@@ -165,18 +166,18 @@ class Study:
     def __post_init__(self) -> None:
         names = [method.name for method in self.methods]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"method {twice[0]}: is given twice: expected one method a name")
+            raise InputError(f"method {twice[0]}: is given twice: expected one method a name")
         for name in [*names, *(method.training.name for method in self.methods if method.training is not None)]:
             if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]*", name):
-                raise ValueError(f"method or training {name!r}: expected letters, digits, and . _ - within")
+                raise InputError(f"method or training {name!r}: expected letters, digits, and . _ - within")
         if self.reference not in names:
-            raise ValueError(f"reference {self.reference}: expected one of the methods {', '.join(names)}")
+            raise InputError(f"reference {self.reference}: expected one of the methods {', '.join(names)}")
         made: dict[str, Training] = {}
         for training in (method.training for method in self.methods if method.training is not None):
             if made.setdefault(training.name, training) != training:
-                raise ValueError(f"training {training.name}: means two experiments: give each its own name")
+                raise InputError(f"training {training.name}: means two experiments: give each its own name")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds = {self.seeds}: expected at least one, and each once")
+            raise InputError(f"seeds = {self.seeds}: expected at least one, and each once")
 
 
 def paper_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
@@ -213,7 +214,7 @@ def units(study: Study) -> list[Unit]:
         if unit.training is not None:
             work.setdefault(unit.training.file, unit.training)
         if unit.file in work:
-            raise ValueError(f"method {unit.method.name}: its file {unit.file} is another method's: rename it")
+            raise InputError(f"method {unit.method.name}: its file {unit.file} is another method's: rename it")
         work[unit.file] = unit
     return list(work.values())
 

@@ -8,7 +8,7 @@ from foveate.evaluation.bounds import Cell
 from foveate.evaluation.summary import Summary
 from foveate.io.tables import Table
 from foveate.study.comparison import Comparison, Difference, Overall
-from foveate.study.robustness import CEILING, Factor, Point, Verdict, verdicts
+from foveate.study.robustness import ORACLE, Factor, Point, Verdict, verdicts
 
 SIGNIFICANT = 0.05
 
@@ -23,7 +23,7 @@ FIRST_ERRORS = {"paper": "first errors as in the paper", "consistent": "consiste
 
 
 def tables(comparison: Comparison, protocol: str) -> list[Table]:
-    """What was found under one protocol: scores, differences, closeness, share seen, spread over training seeds."""
+    """What was found under one protocol: scores, differences, normalised_score, share seen, spread over training seeds."""
     found = [scores(comparison, protocol), differences(comparison, protocol), honesty(comparison, protocol)]
     found += [_by_cell(comparison, protocol, *by_cell) for by_cell in BY_CELL]
     if any(one.cell.protocol == protocol for one in comparison.by_seed):
@@ -82,7 +82,7 @@ def scores(comparison: Comparison, protocol: str) -> Table:
         note=f"{MEANINGS[protocol]}. Mean over scenes (of trained methods: and over seeds) ± half of its 95 % "
         "interval, scenes taken as independent, for the policies of these training seeds (what other seeds would bring "
         "is in the table of seeds); in brackets, the paper's standard deviation over episodes.",
-        header=("method", "kind", *map(_label, cells), "mean", "closeness", "seen", "decision [ms]"),
+        header=("method", "kind", *map(_label, cells), "mean", "normalised_score", "seen", "decision [ms]"),
         rows=tuple(rows),
     )
 
@@ -110,7 +110,7 @@ def differences(comparison: Comparison, protocol: str) -> Table:
 
 
 def worlds(factors: Sequence[Factor], found: Sequence[Point]) -> Table:
-    """One row a method and factor, the values of the factor in a row: score, and closeness where it says something."""
+    """One row a method and factor, the values of the factor in a row: score, and normalised_score where it says something."""
     most = max(len(factor.values) for factor in factors)
     rows = []
     for factor in factors:
@@ -123,7 +123,7 @@ def worlds(factors: Sequence[Factor], found: Sequence[Point]) -> Table:
     return Table(
         title="Worlds that differ from training by one factor",
         note="Mean score [nat per target] ± half of its 95 % interval (of trained methods: over seeds, too), "
-        "and closeness in brackets: - where the omniscient planner itself is passed, and measures nothing. A column is "
+        "and normalised_score in brackets: - where the omniscient planner itself is passed, and measures nothing. A column is "
         "a value of the factor, in the order in which they are named.",
         header=("factor", "method", *(f"value {i + 1}" for i in range(most))),
         rows=tuple((*row, *[""] * (most + 2 - len(row))) for row in rows),
@@ -132,9 +132,9 @@ def worlds(factors: Sequence[Factor], found: Sequence[Point]) -> Table:
 
 def _world(one: Verdict) -> str:
     score = f"{one.mean:.2f} ± {(one.ci95[1] - one.ci95[0]) / 2:.2f}"
-    if one.method == CEILING or one.closeness is None:
+    if one.method == ORACLE or one.normalised_score is None:
         return score
-    return f"{score} ({'-' if one.closeness > 1 else f'{one.closeness:.2f}'})"
+    return f"{score} ({'-' if one.normalised_score > 1 else f'{one.normalised_score:.2f}'})"
 
 
 def seeds(comparison: Comparison, protocol: str) -> Table:
@@ -185,7 +185,7 @@ def _difference(one: Difference) -> str:
 def _overall(one: Overall) -> tuple[str, ...]:
     milliseconds = 1e3 * one.step_time_s
     time = f"{milliseconds:.3f}" if milliseconds < 1 else f"{milliseconds:.1f}"
-    return f"{one.mean:.2f}", _number(one.closeness, 3), f"{one.seen_fraction:.0%}", time
+    return f"{one.mean:.2f}", _number(one.normalised_score, 3), f"{one.seen_fraction:.0%}", time
 
 
 def _published(name: str, numbers: Mapping[Cell, tuple[float, float]], cells: Sequence[Cell]) -> list[tuple[str, ...]]:
@@ -214,9 +214,9 @@ def _nees(value: float | None, band: tuple[float, float] | None) -> str:
 
 BY_CELL: tuple[tuple[str, str, Callable[[Summary], str]], ...] = (
     (
-        "closeness by cell",
+        "normalised_score by cell",
         "0: never sees anything; 1: the omniscient planner, which knows the future.",
-        lambda cell: _number(cell.closeness, 3),
+        lambda cell: _number(cell.normalised_score, 3),
     ),
     (
         "share of targets seen by cell",

@@ -24,7 +24,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import QUADROTOR
 from foveate.experiment.run_folder import BEST
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.heuristics import handmade
+from foveate.policies.heuristics import heuristic
 from foveate.policies.pointer import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Observation
@@ -268,7 +268,7 @@ def test_wrong_input_is_one_line_and_leaves_nothing(trained, tmp_path, capsys, m
     assert "no folder" in failure(capsys, "export", folder, str(tmp_path / "no" / "x.onnx"))
     assert "no such run folder" in failure(capsys, "export", "nowhere", out)
     with pytest.raises(ValueError, match="Still has no ONNX graph"):
-        to_onnx(Experiment(), handmade("still", Scenario().problem(), 2.0))
+        to_onnx(Experiment(), heuristic("still", Scenario().problem(), 2.0))
     monkeypatch.setitem(sys.modules, "onnx", None)
     assert "pip install 'foveate[onnx]'" in failure(capsys, "export", folder, out)
     assert not list(tmp_path.iterdir())
@@ -300,4 +300,4 @@ def test_the_page_runs(trained, tmp_path, monkeypatch):
     for block in (block for kind, block in blocks if kind == "python"):
         exec(compile(block, str(PAGE), "exec"), names)
     assert names["tracker"].ids == ("car", "bike")
-    assert not names["tracker"].refused
+    assert not names["tracker"].rejected

@@ -270,7 +270,7 @@ def test_a_run_from_end_to_end(tmp_path: Path) -> None:
     held_out = [check.held_out for check, _ in checks]
     assert outcome.best_score == max(held_out)
     assert outcome.best_epoch == checks[int(np.argmax(held_out))][0].epoch
-    assert (outcome.epochs, outcome.returns, outcome.stopped) == (5, 0, "")
+    assert (outcome.epochs, outcome.rollbacks, outcome.stopped) == (5, 0, "")
     assert all(-5 < check.objective < 10 for check, _ in checks)
     experiment, policy, facts = load_run(tmp_path / "a")
     assert experiment == TINY

@@ -26,7 +26,7 @@ from websockets.sync.client import connect
 
 from foveate.cli.main import main
 from foveate.geometry.space import SPACES
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.live import chart as view_chart
 from foveate.plotting.live import scene as view_stage
 from foveate.plotting.live import server as view
@@ -70,7 +70,7 @@ def made_up(dimension=2, steps=4, n=3, **changes):
         "present": np.ones((steps + 1, n), bool),
         "outline": (TRIANGLE,) if d == 2 else PYRAMID,
     }
-    return Film(**{**values, **changes})
+    return EpisodeData(**{**values, **changes})
 
 
 def messages(page: Path):
@@ -282,7 +282,7 @@ def test_a_live_page_follows_its_panel(browser):
 
     programme = view.Programme(scenes=("one", "two"), methods=("nearest", "still"), film=make)
     with view._server(0) as server:
-        with pytest.raises(OSError, match=r"refused|unreachable|timed out"):  # at no other address of this machine
+        with pytest.raises(OSError, match=r"rejected|unreachable|timed out"):  # at no other address of this machine
             socket.create_connection(("127.0.0.2", server.get_port()), timeout=5)
         player = view.Player(server, programme)
         player.tick(0.0)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foveate import __version__
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.io.files import write_atomic
 from foveate.models.problem import Problem
@@ -141,11 +142,11 @@ def to_onnx(experiment: Experiment, policy: Policy, opset: int = DEFAULT_OPSET) 
     extra is missing.
     """
     if opset not in OPSETS:
-        raise ValueError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
+        raise InputError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
     try:
         from onnx import checker, helper
     except ImportError as error:
-        raise ValueError(f"exporting needs onnx ({error}): pip install 'foveate[onnx]'") from error
+        raise InputError(f"exporting needs onnx ({error}): pip install 'foveate[onnx]'") from error
     from foveate.deploy.onnx.graph import Graph
     from foveate.deploy.onnx.networks import attention, pointer
 
@@ -155,7 +156,7 @@ def to_onnx(experiment: Experiment, policy: Policy, opset: int = DEFAULT_OPSET) 
     elif isinstance(policy, PointerPolicy):
         last = pointer(graph, policy, problem.motion.state_size, problem.motion.input_size)
     else:
-        raise ValueError(f"{type(policy).__name__} has no ONNX graph: expected a policy that was trained")
+        raise InputError(f"{type(policy).__name__} has no ONNX graph: expected a policy that was trained")
     _command(graph, last, np.asarray(problem.agent.lower), np.asarray(problem.agent.upper))
 
     inputs = [_value_info(each.name, each.dtype, each.shape, each.meaning) for each in inputs_of(policy, problem)]

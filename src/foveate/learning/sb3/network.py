@@ -22,7 +22,7 @@ from torch import nn
 
 from foveate.models.problem import Problem
 from foveate.policies.attention import AttentionPolicy, AttentionSettings
-from foveate.policies.inputs import told
+from foveate.policies.inputs import policy_features
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
@@ -31,7 +31,9 @@ def flat_inputs(
     problem: Problem, settings: AttentionSettings, observation: Observation, left: Scalar
 ) -> Float[Array, " size"]:
     """Exactly what `AttentionPolicy` is told, padding as zeros, and the share of steps that is `left`."""
-    return told(observation, left, problem.agent.space, settings.frame, settings.length_m, settings.information).row
+    return policy_features(
+        observation, left, problem.agent.space, settings.frame, settings.length_m, settings.information
+    ).row
 
 
 class Attention(nn.Module):

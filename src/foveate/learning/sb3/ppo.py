@@ -18,12 +18,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
-from foveate.experiment.run_folder import BEST, Check, Outcome, claim
+from foveate.experiment.run_folder import BEST, Outcome, Validation, claim
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import held_out_episodes, judge, write_check
+from foveate.learning.validation import held_out_episodes, judge, write_validation
 from foveate.policies.attention import AttentionSettings
 from foveate.simulation.environment import Environment
 
@@ -36,10 +37,10 @@ NEVER = 10**9
 """Updates after which Stable-Baselines3 writes its own log, were it asked for one."""
 
 
-Report = Callable[[Check, int], None]
+Report = Callable[[Validation, int], None]
 
 
-class _Judge:
+class _Validator:
     """Judges the actor of a PPO now and then, keeps the best, and writes it all down."""
 
     def __init__(self, experiment: Experiment, out: Path, seed: int, report: Report, events: Events) -> None:
@@ -63,7 +64,7 @@ class _Judge:
         finite = _is_finite(model) and math.isfinite(held_out)
         best = finite and held_out > self.best_score
         now = time.perf_counter()
-        check = Check(
+        check = Validation(
             epoch=self.epoch,
             objective=float(np.mean(self.scores)) if self.scores else math.nan,
             gradient_norm=None,
@@ -82,7 +83,7 @@ class _Judge:
             save_tree(self.out / BEST, policy, self.experiment, "policy", facts)
         if not finite:
             self.stopped = f"epoch {self.epoch}: a weight or score was not finite; the best is kept"
-        write_check(self.out, check, self.events)
+        write_validation(self.out, check, self.events)
         self.events.add({name: float(value) for name, value in model.logger.name_to_value.items()}, self.epoch)
         self.report(check, training.steps)
 
@@ -97,18 +98,18 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
     """
     training = experiment.training
     if not isinstance(training, PPOSettings):
-        raise ValueError("training.algorithm is missing: expected 'ppo'")
+        raise InputError("training.algorithm is missing: expected 'ppo'")
     network_of(experiment)
     _require_extra()
     claim(out, experiment)
     write_config(out, experiment)
     with Events(out) as events, _one_thread():
-        judge = _Judge(experiment, out, seed, report, events)
+        judge = _Validator(experiment, out, seed, report, events)
         model = make_ppo(experiment, training, seed)
         try:
             model.learn(training.steps, _callback(judge, training), log_interval=NEVER)
         except ValueError as error:
-            # torch refuses a Gaussian whose mean is not a number.
+            # torch rejects a Gaussian whose mean is not a number.
             if _is_finite(model):
                 raise
             judge.stopped = f"epoch {judge.epoch}: a weight was not finite ({type(error).__name__}); the best is kept"
@@ -116,7 +117,7 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
         epochs=judge.epoch,
         best_epoch=judge.best_epoch,
         best_score=judge.best_score,
-        returns=0,
+        rollbacks=0,
         stopped=judge.stopped,
     )
 
@@ -124,7 +125,7 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
 def network_of(experiment: Experiment) -> AttentionSettings:
     """The network that PPO trains. Raises ValueError for one that has no twin in PyTorch here."""
     if not isinstance(experiment.policy, AttentionSettings):
-        raise ValueError(f"policy.kind = '{experiment.policy.kind}': expected 'attention', the network that PPO trains")
+        raise InputError(f"policy.kind = '{experiment.policy.kind}': expected 'attention', the network that PPO trains")
     return experiment.policy
 
 
@@ -165,7 +166,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
     )
 
 
-def _callback(judge: _Judge, training: PPOSettings) -> "BaseCallback":
+def _callback(judge: _Validator, training: PPOSettings) -> "BaseCallback":
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Checks(BaseCallback):
@@ -203,7 +204,7 @@ def _require_extra() -> None:
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
-        raise ValueError(f"PPO needs Stable-Baselines3 ({error}): pip install 'foveate[ppo]'") from error
+        raise InputError(f"PPO needs Stable-Baselines3 ({error}): pip install 'foveate[ppo]'") from error
 
 
 @contextmanager

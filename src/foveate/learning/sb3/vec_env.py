@@ -79,11 +79,11 @@ class TargetsVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: there is one program for all environments."""
+        """Rejected: there is one program for all environments."""
         raise NotImplementedError(f"{attr_name}: these environments are one compiled program and cannot be changed")
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Refused: there is no object for each environment."""
+        """Rejected: there is no object for each environment."""
         raise NotImplementedError(f"{method_name}: these environments are one compiled program without methods")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.live.scene import color, segments
 from foveate.plotting.scene import BLACK, GREY
 
@@ -19,7 +19,7 @@ MOST_CURVES = 20
 TICKS = 4
 
 
-def curves(film: Film) -> Float[np.ndarray, "steps curves"]:
+def curves(film: EpisodeData) -> Float[np.ndarray, "steps curves"]:
     """log det of each target's information after each step [nat], NaN where it is not there; first their mean."""
     known = np.where(film.present[1:], film.log_det, np.nan)
     count = np.isfinite(known).sum(axis=1)
@@ -35,7 +35,7 @@ def span(values: Float[np.ndarray, "*m"]) -> tuple[float, float]:
     return low - pad, high + pad
 
 
-def facts(film: Film, moment: int) -> dict[str, str]:
+def facts(film: EpisodeData, moment: int) -> dict[str, str]:
     """Time, step, score so far, who is seen now, for how long targets were, and, where all stay, who ever was."""
     k = moment // SUBSTEPS
     time_s = float(np.interp(moment / SUBSTEPS, np.arange(film.steps + 1), film.times_s))
@@ -57,7 +57,7 @@ def facts(film: Film, moment: int) -> dict[str, str]:
 class Board:
     """The curves as a board that stands behind the scene, and time, score and who is seen as a label above it."""
 
-    def __init__(self, scene: Any, film: Film, box: Float[np.ndarray, "2 3"]) -> None:
+    def __init__(self, scene: Any, film: EpisodeData, box: Float[np.ndarray, "2 3"]) -> None:
         self._film, self._curves = film, curves(film)
         low, high = span(self._curves)
         width = float(np.ptp(box[:, 0]))

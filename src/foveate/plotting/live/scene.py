@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from foveate.geometry.numpy_poses import rotation
 from foveate.plotting.ellipsoids import CHI_SQUARE_95 as SPATIAL_95
 from foveate.plotting.ellipsoids import CIRCLE, faces
-from foveate.plotting.episode_data import Film, snapshot
+from foveate.plotting.episode_data import EpisodeData, snapshot
 from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN
 from foveate.plotting.scene import CHI_SQUARE_95 as PLANAR_95
-from foveate.plotting.scene_spatial import DART, DART_FACES, stage_of
+from foveate.plotting.scene_spatial import DART, DART_FACES, scene_axes_of
 
 TRAIL_STEPS = 40
 
@@ -73,7 +73,7 @@ def fan(line: Float[np.ndarray, "n d"]) -> Mesh:
     return np.concatenate([points, [middle]]), np.stack([np.full(n - 1, n), np.arange(n - 1), np.arange(1, n)], -1)
 
 
-def view_mesh(film: Film) -> Mesh:
+def view_mesh(film: EpisodeData) -> Mesh:
     """The faces of the field of view in the body frame."""
     polygons = faces(film.outline) if film.space.dimension == 3 else film.outline
     closed = [line if np.allclose(line[0], line[-1]) else np.concatenate([line, line[:1]]) for line in polygons]
@@ -100,13 +100,13 @@ def axes_of(covariance: Float[np.ndarray, "d d"]) -> tuple[Float[np.ndarray, "4"
     return quaternion(vectors), (first, second, third[0] if third else 1.0)
 
 
-class Diorama:
+class LiveScene:
     """A film in a viser scene. `show` moves it to a moment (see `film.snapshot`)."""
 
-    def __init__(self, scene: Any, film: Film) -> None:
+    def __init__(self, scene: Any, film: EpisodeData) -> None:
         self.film, self._arc, self._scene = film, film.arc(), scene
         planar = film.space.dimension == 2
-        self.box = lifted(stage_of(film).limits([film]))
+        self.box = lifted(scene_axes_of(film).limits([film]))
         extent = float(np.ptp(self.box[:, :2], axis=0).max())
         self.size = (0.028 if planar else 0.02) * extent
         unit = disc() if planar else ball()

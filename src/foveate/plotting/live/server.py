@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.io.files import write_atomic
-from foveate.plotting.episode_data import SUBSTEPS, Film
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.live.chart import LEGEND, MOST_CURVES, Board, curves, facts, span
-from foveate.plotting.live.scene import Diorama
+from foveate.plotting.live.scene import LiveScene
 from foveate.plotting.scene import BLACK, CYCLE, describe
 
 HOST = "127.0.0.1"
@@ -46,7 +47,7 @@ class Programme:
 
     scenes: tuple[str, ...]
     methods: tuple[str, ...]
-    film: Callable[[str, str], Film]
+    film: Callable[[str, str], EpisodeData]
 
 
 def plain(text: str) -> str:
@@ -54,12 +55,12 @@ def plain(text: str) -> str:
     return "".join(c if c.isalnum() or c in " .,:" else f"&#{ord(c)};" for c in text)
 
 
-def usual_speed(film: Film) -> float:
+def usual_speed(film: EpisodeData) -> float:
     """Real time, or as fast as brings the episode under a minute."""
     return next((speed for speed in SPEEDS if speed >= 1 and film.times_s[-1] / speed <= SHORT_S), SPEEDS[-1])
 
 
-def moment_at(film: Film, time_s: float) -> int:
+def moment_at(film: EpisodeData, time_s: float) -> int:
     """The moment of a film (see `film.snapshot`) at a time [s] after its start."""
     share = np.interp(time_s, film.times_s, np.arange(film.steps + 1))
     return int(SUBSTEPS * share + 1e-9)
@@ -71,8 +72,8 @@ def _server(port: int) -> Iterator[Any]:
     try:
         import viser
     except ImportError as error:
-        raise ValueError(f"viewing needs viser ({error}): pip install 'foveate[view]'") from error
-    taken = ValueError(f"--port {port}: is in use, or not for everybody: choose another, say {port + 1}")
+        raise InputError(f"viewing needs viser ({error}): pip install 'foveate[view]'") from error
+    taken = InputError(f"--port {port}: is in use, or not for everybody: choose another, say {port + 1}")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -91,18 +92,18 @@ def _server(port: int) -> Iterator[Any]:
             server.stop()
 
 
-def record(film: Film, path: Path) -> None:
+def record(film: EpisodeData, path: Path) -> None:
     """Write a page that plays one episode without a server: the scene, a board of its numbers, a bar to play it by.
 
     Raises ValueError for another ending than .html, and without viser.
     """
     if path.suffix.lower() != ".html":
-        raise ValueError(f"{path}: expected a name that ends in .html")
+        raise InputError(f"{path}: expected a name that ends in .html")
     speed = usual_speed(film)
     count = int(min(MOST_FRAMES, max(2, FRAMES_S * film.times_s[-1] / speed + 1)))
     times = np.linspace(0.0, film.times_s[-1], count)
     with _server(0) as server:
-        stage = Diorama(server.scene, film)
+        stage = LiveScene(server.scene, film)
         board = Board(server.scene, film, stage.box)
         _aim(server, stage)
         stage.show(0)
@@ -117,7 +118,7 @@ def record(film: Film, path: Path) -> None:
     write_atomic(path, page.encode())
 
 
-def _aim(server: Any, stage: Diorama) -> None:
+def _aim(server: Any, stage: LiveScene) -> None:
     position, middle = stage.camera()
     server.initial_camera.position, server.initial_camera.look_at = position, middle
     for client in server.get_clients().values():
@@ -189,7 +190,7 @@ class Player:
             self._step.max, self._play.value = max(1, film.steps), True
         with self._server.atomic():
             self._server.scene.reset()
-            self._stage = Diorama(self._server.scene, film)
+            self._stage = LiveScene(self._server.scene, film)
             _aim(self._server, self._stage)
             self._title.content = f"**{plain(describe(film))}**"
             if self._chart is not None:
@@ -197,7 +198,7 @@ class Player:
             self._curves = curves(film)
             self._chart = _chart(self._server.gui, film, self._curves)
 
-    def _show(self, film: Film, moment: int) -> None:
+    def _show(self, film: EpisodeData, moment: int) -> None:
         k = moment // SUBSTEPS
         with self._server.atomic():
             self._stage.show(moment)
@@ -209,7 +210,7 @@ class Player:
         self._moment = moment
 
 
-def _data(film: Film, values: np.ndarray, k: int) -> tuple[np.ndarray, ...]:
+def _data(film: EpisodeData, values: np.ndarray, k: int) -> tuple[np.ndarray, ...]:
     """Times and curves up to step k; where a target is not there its curve is below the chart.
 
     Across NaN the page would draw a straight line, as if it were known what was there.
@@ -218,7 +219,7 @@ def _data(film: Film, values: np.ndarray, k: int) -> tuple[np.ndarray, ...]:
     return (film.times_s[1 : k + 1], *np.where(np.isfinite(values[:k]), values[:k], 2 * low - high).T)
 
 
-def _chart(gui: Any, film: Film, values: np.ndarray) -> Any:
+def _chart(gui: Any, film: EpisodeData, values: np.ndarray) -> Any:
     """log det of every target's information over time; the mean is black."""
     colors = [BLACK, *(CYCLE[i % (len(CYCLE) - 1)] for i in range(MOST_CURVES))]
     names = ["mean", *(f"target {i + 1}" for i in range(values.shape[1] - 1))]
