@@ -14,7 +14,7 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.learning import actor_critic
-from foveate.learning.actor_critic import Samples, advantages, entropy, gather, log_density, loss, tries
+from foveate.learning.actor_critic import Samples, advantages, entropy, gather, log_density, loss, sample_trajectory
 from foveate.learning.loop import train
 from foveate.learning.validation import held_out_episodes, judge
 from foveate.policies.attention import AttentionSettings
@@ -99,7 +99,7 @@ def test_what_is_earned_is_what_the_rollout_scores(protocol):
     @eqx.filter_jit
     def both(key, objective):
         episode = training_episode(problem, scenes, key, noise=True)
-        tried = tries(problem, policy, episode, PROTOCOLS[protocol], objective, jnp.asarray(1e-9), key)
+        tried = sample_trajectory(problem, policy, episode, PROTOCOLS[protocol], objective, jnp.asarray(1e-9), key)
         return episode, tried, rollout(problem, policy, episode, PROTOCOLS[protocol], key)
 
     for seed in range(3):
@@ -156,7 +156,7 @@ def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_e
 
     def one(scene_key, try_key, name):
         episode = training_episode(problem, MIXED, scene_key, noise=True)
-        return tries(problem, learner.policy, episode, PROTOCOLS[name], "terminal", action_std, try_key)
+        return sample_trajectory(problem, learner.policy, episode, PROTOCOLS[name], "terminal", action_std, try_key)
 
     each, advantage, counts = [], [], []
     for i, name in enumerate(chosen.protocols):

@@ -15,17 +15,8 @@ from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.sensor import SensorSettings
 from foveate.scenario.target import DriftTarget, LinearTarget
-from foveate.simulation.episodes import (
-    Drawn,
-    Noise,
-    draw,
-    draw_noise,
-    draw_size,
-    episode_of,
-    scene_episodes,
-    scene_noise,
-)
-from foveate.simulation.suites import suite, table1
+from foveate.simulation.episodes import Drawn, Noise, draw, draw_noise, draw_size, episode_of
+from foveate.simulation.suites import scene_episodes, scene_noise, suite, table1
 
 PAPER = Scenario()
 COUNT = 3000
@@ -271,7 +262,7 @@ IN_SINGLE_PRECISION = """
 import json
 import jax.numpy as jnp
 from dataclasses import asdict
-from foveate.simulation.episodes import scene_episodes, table1
+from foveate.simulation.suites import scene_episodes, table1
 from foveate.scenario.scenario import Scenario
 scenario = Scenario()
 problem = scenario.problem()

@@ -38,10 +38,10 @@ from foveate.policies.inputs import policy_features
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.batch import Batch, Programs
 from foveate.simulation.environment import Environment
-from foveate.simulation.episodes import scene_episodes, training_episode
+from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import PROTOCOLS, SURROGATE, Episode, Observation, Policy
 from foveate.simulation.rollout import rollout
-from foveate.simulation.suites import own_suite
+from foveate.simulation.suites import own_suite, scene_episodes
 
 Measurement = tuple[str, Callable[[int], list[Metric]]]
 """What is measured, in words, and the function that measures it with so many repeats."""

@@ -15,10 +15,10 @@ import numpy as np
 from foveate.evaluation.metrics import measures
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
-from foveate.simulation.episodes import scene_episodes
 from foveate.simulation.records import PROTOCOLS, Episode, Policy, Protocol, Trace, Truth
 from foveate.simulation.rollout import rollout
 from foveate.simulation.step import observe, predict, start
+from foveate.simulation.suites import scene_episodes
 
 CHUNK = 256
 """Episodes that run side by side: bounds memory, and every suite runs the same compiled program."""

@@ -28,7 +28,8 @@ from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, Protocol, per_target
-from foveate.simulation.step import act, instants, observe, predict, start
+from foveate.simulation.rollout import Outcome, simulate
+from foveate.simulation.step import start
 from foveate.types import Action, Key, Scalar
 
 CRITIC_WIDTH, CRITIC_QUERIES, CRITIC_LENGTH_M = 64, 4, 5.0
@@ -49,7 +50,7 @@ class Critic(eqx.Module):
         return self.value_layers[-1](hidden)[0]
 
 
-class Tries(NamedTuple):
+class Trajectory(NamedTuple):
     """Every step of an episode: what was seen, tried and earned; `counts` marks those before the horizon."""
 
     observation: Observation
@@ -123,7 +124,7 @@ def rewards(
     return jnp.where(jnp.arange(len(scores)) < episode.horizon, earned, 0.0)
 
 
-def tries(
+def sample_trajectory(
     problem: Problem,
     policy: PointerPolicy,
     episode: Episode,
@@ -131,25 +132,25 @@ def tries(
     objective: Objective,
     action_std: Scalar,
     key: Key,
-) -> Tries:
+) -> Trajectory:
     """Play one episode, a mode drawn by its weight and a Gaussian about its action at every step."""
 
-    def step(state, instant):
-        mode_key, noise_key = jax.random.split(jax.random.fold_in(key, state.step))
-        predicted = predict(problem, state, instant.known_input)
-        observation = observe(predicted, instant.known_input, episode.horizon)
+    def decide(observation, memory, key):
+        mode_key, noise_key = jax.random.split(key)
         modes = policy.modes(observation)
         mean = modes.action[jax.random.categorical(mode_key, modes.log_weight)]
         action = mean + action_std * jax.random.normal(noise_key, mean.shape)
-        state, visible, _ = act(problem, protocol, predicted, instant, jnp.clip(action, -1.0, 1.0))
-        kept = observation, action, log_density(modes, action, action_std)
-        return state, (*kept, jnp.mean(log_det_spd(state.information), axis=0), visible)
+        # The density is that of the action as drawn; the agent clips what it does.
+        return jnp.clip(action, -1.0, 1.0), memory, (action, log_density(modes, action, action_std))
 
+    def record(done: Outcome):
+        return done.observation, *done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured
+
+    observation, action, density, log_det, visible = simulate(problem, decide, episode, protocol, key, record)
     first = start(problem, episode, protocol)
-    observation, action, density, log_det, visible = jax.lax.scan(step, first, instants(episode))[1]
     before = per_target(jnp.mean(log_det_spd(first.information), axis=0), first.present)
     counts = jnp.arange(len(action)) < episode.horizon
-    return Tries(observation, action, density, rewards(log_det, visible, before, episode, objective), counts)
+    return Trajectory(observation, action, density, rewards(log_det, visible, before, episode, objective), counts)
 
 
 def advantages(
@@ -182,10 +183,10 @@ def gather(
 
         def play(scene_key, try_key, protocol=PROTOCOLS[name]):
             episode = training_episode(problem, scenes, scene_key, noise=True)
-            return tries(problem, policy, episode, protocol, settings.objective, action_std, try_key)
+            return sample_trajectory(problem, policy, episode, protocol, settings.objective, action_std, try_key)
 
         played.append(jax.vmap(play)(jax.random.split(scene_key, share), jax.random.split(try_key, share)))
-    every: Tries = jax.tree.map(lambda *parts: jnp.concatenate(parts), *played)
+    every: Trajectory = jax.tree.map(lambda *parts: jnp.concatenate(parts), *played)
     value = jax.vmap(jax.vmap(critic))(every.observation)
     advantage = jax.vmap(advantages, (0, 0, 0, None))(every.reward, value, every.counts, settings.gae_lambda)
     middle, scale = (of(advantage, where=every.counts) for of in (jnp.mean, jnp.std))

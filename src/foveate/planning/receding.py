@@ -15,8 +15,9 @@ from foveate.models.sensor import Softness
 from foveate.planning.information import Future
 from foveate.planning.shooting import PlanSettings, plan
 from foveate.planning.tours import straight_ahead
-from foveate.simulation.records import Instant, Observation, Policy, Protocol, State
-from foveate.simulation.step import act, observe, predict
+from foveate.simulation.records import Episode, Instant, Observation, Policy, Protocol, State
+from foveate.simulation.rollout import following, simulate
+from foveate.simulation.step import act
 from foveate.types import Action, Count, Key
 
 SURE = 0.99
@@ -127,7 +128,7 @@ def foreseen_actions(
     key: Key,
 ) -> tuple[Float[Array, "window m"], Any]:
     """What a policy would do in its believed future under a soft view, and its memory after the first decision."""
-    protocol, horizon = Protocol(levels=(level,)), observation.step + observation.left
+    protocol = Protocol(levels=(level,))
     predicted = State(
         step=observation.step,
         pose=observation.pose,
@@ -135,16 +136,17 @@ def foreseen_actions(
         information=observation.information[None],
         present=observation.present,
     )
-
-    def step(carry, known_input):
-        predicted, memory = carry
-        action, memory = policy(
-            observe(predicted, known_input, horizon), memory, jax.random.fold_in(key, predicted.step)
-        )
-        state = act(problem, protocol, predicted, Instant(known_input, None, None), action)[0]
-        return (predict(problem, state, later_input), memory), (action, memory)
-
-    later = jnp.broadcast_to(later_input, (window - 1, *later_input.shape))
-    inputs = jnp.concatenate([observation.known_input[None], later])
-    actions, memories = jax.lax.scan(step, (predicted, memory), inputs)[1]
-    return actions, jax.tree.map(lambda x: x[0], memories)
+    action, memory = policy(observation, memory, jax.random.fold_in(key, observation.step))
+    instant = Instant(observation.known_input, None, None)
+    after = act(problem, protocol, predicted, instant, action).state
+    future = Episode(
+        pose=after.pose,
+        mean=after.mean,
+        present=after.present,
+        inputs=jnp.broadcast_to(later_input, (window - 1, *later_input.shape)),
+        horizon=observation.step + observation.left,
+    )
+    later = simulate(
+        problem, following(policy), future, protocol, key, lambda done: done.action, memory=memory, state=after
+    )
+    return jnp.concatenate([action[None], later]), memory

@@ -89,12 +89,13 @@ def step(environment: Environment, moment: EnvironmentState, action: Action) -> 
     """One step of `rollout`: move, measure, update, and predict what comes next; done when step == horizon."""
     episode, predicted = moment.episode, moment.predicted
     instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
-    state, visible, _ = act(environment.problem, environment.protocol, predicted, instant, action)
+    done = act(environment.problem, environment.protocol, predicted, instant, action)
+    state = done.state
     # A target that has just come could not be measured yet.
     score = _score(state, state.present & predicted.present)
     after = _moment(environment, episode, state, score, moment.key)
-    done = state.step >= episode.horizon
-    return after, Transition(score - moment.score, done, score, observation(after), state, visible)
+    over = state.step >= episode.horizon
+    return after, Transition(score - moment.score, over, score, observation(after), state, done.measured)
 
 
 def step_and_reset(

@@ -1,9 +1,7 @@
-"""From a scene to an episode: scenes drawn from a distribution, the chance in them, the truth, the first belief."""
+"""Episodes: scenes drawn from a distribution, their random numbers, the truth, the first belief."""
 
 import math
-import zlib
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from foveate.errors import InputError
 from foveate.models.problem import Problem
-from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import Arrivals, Episode, Truth
 from foveate.types import Count, Key, Pose
 
@@ -29,7 +26,7 @@ class Drawn(eqx.Module):
 
 
 class Noise(eqx.Module):
-    """All chance of one episode: uniform jitter in [-1, 1], and standard normals for the rest."""
+    """All random numbers of one episode: uniform jitter in [-1, 1], and standard normals for the rest."""
 
     jitter: Float[Array, "K n d"]
     process: Float[Array, "K n n_y"]
@@ -47,13 +44,24 @@ def draw_size(settings: SceneSettings, problem: Problem) -> int:
     return _size(_draw_shapes(settings, problem))
 
 
-def draw(settings: SceneSettings, problem: Problem, uniform: Float[Array, " size"], test: bool = False) -> Drawn:
-    """The scene of the distribution that `draw_size` numbers, uniform in [-1, 1), make; padded to the most targets."""
+def draw(
+    settings: SceneSettings,
+    problem: Problem,
+    uniform: Float[Array, " size"],
+    test: bool = False,
+    targets: Count | None = None,
+) -> Drawn:
+    """Make a scene of the distribution from `draw_size` numbers, uniform in [-1, 1), padded to the most targets.
+
+    With `targets` > 0 the scene has that many, whatever the numbers say.
+    """
     d, most = problem.agent.space.dimension, settings.targets_max
     count, yaw, agent, position, drift = _cut(uniform, _draw_shapes(settings, problem))
 
-    numbers = most + 1 - settings.targets_min
-    n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * numbers), numbers - 1).astype(int)
+    sizes = most + 1 - settings.targets_min
+    n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * sizes), sizes - 1).astype(int)
+    if targets is not None:
+        n = jnp.where(targets > 0, targets, n)
     centre = jnp.array(settings.centre_m)
     half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * n
     agent_side = settings.agent_test_half_side_m if test else settings.agent_spread * half_side
@@ -68,7 +76,7 @@ def draw(settings: SceneSettings, problem: Problem, uniform: Float[Array, " size
 
 
 def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth: bool = True) -> Noise:
-    """The chance of one training episode; where no truth is made of it, the numbers that only a truth needs are 0."""
+    """Random numbers of one training episode; those that only a truth needs are 0 where none is made."""
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
     uniform_key, normal_key = jax.random.split(key)
     shapes = ((targets, n_y), (steps, targets, n_y), (steps, targets, n_z))
@@ -98,7 +106,7 @@ def episode_of(
     with_truth: bool = True,
     birth_and_death: bool = False,
 ) -> Episode:
-    """A scene and its chance as an episode.
+    """The episode that a scene and its random numbers make.
 
     Targets that are positions only are driven by the known input xi = tau (drift + jitter) [m]; for longer states the
     drift is the initial velocity and the input is zero. With `birth_and_death` a target that leaves the scene's box is
@@ -143,21 +151,16 @@ def episode_of(
 def training_episode(
     problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False, targets: Count | None = None
 ) -> Episode:
-    """One fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected.
+    """A fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected.
 
-    With `targets` > 0 it has so many, of the numbers that the settings allow.
+    With `targets` > 0 it has that many, of the numbers that the settings allow.
     """
     scene_key, noise_key = jax.random.split(key)
-    chance = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max, noise)
+    numbers = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max, noise)
     uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
-    if targets is not None:
-        # The first number says how many targets there are: that of the middle of the share that means so many.
-        share = (targets - scenes.targets_min + 0.5) / (scenes.targets_max + 1 - scenes.targets_min)
-        uniform = uniform.at[0].set(jnp.where(targets > 0, 2.0 * share - 1.0, uniform[0]))
-    scene = draw(scenes, problem, uniform, test)
-    return episode_of(
-        problem, scenes, scene, chance, with_truth=noise, birth_and_death=noise and scenes.birth_and_death
-    )
+    scene = draw(scenes, problem, uniform, test, targets)
+    has_births = noise and scenes.birth_and_death
+    return episode_of(problem, scenes, scene, numbers, with_truth=noise, birth_and_death=has_births)
 
 
 def _with_birth_and_death(
@@ -193,68 +196,3 @@ def _root(covariance: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
     """A matrix R with R R^T = covariance, which may be singular."""
     values, vectors = jnp.linalg.eigh(covariance)
     return vectors * jnp.sqrt(jnp.maximum(values, 0.0))[..., None, :]
-
-
-def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:
-    """The chance of one episode of a scene, from (seed, scene id, episode) alone: the same for every method.
-
-    Drawn by numpy at the scene's true size, so that neither padding nor precision changes a number.
-    """
-    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
-    steps, n = scene.horizon, len(scene.targets)
-    rng = np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode])
-    return {
-        "jitter": rng.uniform(-1.0, 1.0, (steps, n, d)),
-        "process": rng.standard_normal((steps, n, n_y)),
-        "measurement": rng.standard_normal((steps, n, n_z)),
-        "first": rng.standard_normal((n, n_y)),
-    }
-
-
-def scene_episodes(
-    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int, episodes: int
-) -> Episode:
-    """Episodes 0 .. `episodes`-1 of every scene, padded to a common size and stacked, scene by scene.
-
-    Shapes: a leading axis of len(scenes) * episodes; n and K are the largest of any scene (n at least 1).
-    """
-    if not problem.motion.takes_drift and (moving := [scene.id for scene in scenes if scene.motion == "biased"]):
-        raise InputError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
-    n = max(1, *(len(scene.targets) for scene in scenes))
-    steps = max(scene.horizon for scene in scenes)
-    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
-    count = len(scenes) * episodes
-    drawn: dict[str, Any] = {
-        "pose": [],
-        "position": np.zeros((count, n, d)),
-        "drift": np.zeros((count, n, d)),
-        "present": np.zeros((count, n), bool),
-        "horizon": np.zeros(count, int),
-    }
-    noise = {
-        "jitter": np.zeros((count, steps, n, d)),
-        "process": np.zeros((count, steps, n, n_y)),
-        "measurement": np.zeros((count, steps, n, n_z)),
-        "first": np.zeros((count, n, n_y)),
-    }
-    for row in range(count):
-        scene, k = scenes[row // episodes], row % episodes
-        here = len(scene.targets)
-        drawn["pose"].append(problem.agent.space.from_numbers(scene.agent))
-        drawn["position"][row, :here] = np.reshape(scene.targets, (here, d))
-        drawn["drift"][row, :here] = np.reshape(scene.drift, (here, d))
-        drawn["present"][row, :here] = True
-        drawn["horizon"][row] = scene.horizon
-        for name, value in scene_noise(problem, scene, seed, k).items():
-            part = (row, slice(here)) if name == "first" else (row, slice(scene.horizon), slice(here))
-            noise[name][part] = value
-    as_float = {name: jnp.asarray(value, float) for name, value in noise.items()}
-    stacked = {
-        "pose": jnp.stack(drawn["pose"]),
-        "position": jnp.asarray(drawn["position"], float),
-        "drift": jnp.asarray(drawn["drift"], float),
-        "present": jnp.asarray(drawn["present"]),
-        "horizon": jnp.asarray(drawn["horizon"]),
-    }
-    one = jax.vmap(lambda scene, chance: episode_of(problem, settings, Drawn(**scene), Noise(**chance)))
-    return jax.jit(one)(stacked, as_float)

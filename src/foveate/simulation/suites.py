@@ -1,22 +1,23 @@
-"""Suites of scenes: the paper's table 1, and scenes of a scenario's own."""
+"""Suites of scenes, the paper's table 1 and a scenario's own, and the episodes that scenes and a seed make."""
 
+import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
-from foveate.simulation.episodes import draw, draw_size
+from foveate.simulation.episodes import Drawn, Noise, draw, draw_size, episode_of
+from foveate.simulation.records import Episode
 
 SUITE_SEED = 2023
 """Seed of the built-in suites: the year of the paper."""
-
-
 TABLE1_TARGETS = (3, 5, 7)
-
-
 SUITE_SCENES_PER_CELL = 30
 
 
@@ -69,3 +70,68 @@ def _cells(settings: SceneSettings, problem: Problem, seed: int, cells: list[tup
 def _numbers(values: Any) -> tuple[float, ...]:
     """Rounded to a micrometre: a scene means the same numbers in every precision and in a file."""
     return tuple(round(float(value), 6) + 0.0 for value in values)
+
+
+def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:
+    """All random numbers of one episode of a scene, from (seed, scene id, episode) alone: the same for every method.
+
+    Drawn by numpy at the scene's true size, so that neither padding nor precision changes a number.
+    """
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    steps, n = scene.horizon, len(scene.targets)
+    rng = np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode])
+    return {
+        "jitter": rng.uniform(-1.0, 1.0, (steps, n, d)),
+        "process": rng.standard_normal((steps, n, n_y)),
+        "measurement": rng.standard_normal((steps, n, n_z)),
+        "first": rng.standard_normal((n, n_y)),
+    }
+
+
+def scene_episodes(
+    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int, episodes: int
+) -> Episode:
+    """Episodes 0 .. `episodes`-1 of every scene, padded to a common size and stacked, scene by scene.
+
+    Shapes: a leading axis of len(scenes) * episodes; n and K are the largest of any scene (n at least 1).
+    """
+    if not problem.motion.takes_drift and (moving := [scene.id for scene in scenes if scene.motion == "biased"]):
+        raise InputError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
+    n = max(1, *(len(scene.targets) for scene in scenes))
+    steps = max(scene.horizon for scene in scenes)
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    count = len(scenes) * episodes
+    drawn: dict[str, Any] = {
+        "pose": [],
+        "position": np.zeros((count, n, d)),
+        "drift": np.zeros((count, n, d)),
+        "present": np.zeros((count, n), bool),
+        "horizon": np.zeros(count, int),
+    }
+    noise = {
+        "jitter": np.zeros((count, steps, n, d)),
+        "process": np.zeros((count, steps, n, n_y)),
+        "measurement": np.zeros((count, steps, n, n_z)),
+        "first": np.zeros((count, n, n_y)),
+    }
+    for row in range(count):
+        scene, k = scenes[row // episodes], row % episodes
+        here = len(scene.targets)
+        drawn["pose"].append(problem.agent.space.from_numbers(scene.agent))
+        drawn["position"][row, :here] = np.reshape(scene.targets, (here, d))
+        drawn["drift"][row, :here] = np.reshape(scene.drift, (here, d))
+        drawn["present"][row, :here] = True
+        drawn["horizon"][row] = scene.horizon
+        for name, value in scene_noise(problem, scene, seed, k).items():
+            part = (row, slice(here)) if name == "first" else (row, slice(scene.horizon), slice(here))
+            noise[name][part] = value
+    as_float = {name: jnp.asarray(value, float) for name, value in noise.items()}
+    stacked = {
+        "pose": jnp.stack(drawn["pose"]),
+        "position": jnp.asarray(drawn["position"], float),
+        "drift": jnp.asarray(drawn["drift"], float),
+        "present": jnp.asarray(drawn["present"]),
+        "horizon": jnp.asarray(drawn["horizon"]),
+    }
+    make = jax.vmap(lambda scene, noise: episode_of(problem, settings, Drawn(**scene), Noise(**noise)))
+    return jax.jit(make)(stacked, as_float)
