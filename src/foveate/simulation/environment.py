@@ -1,7 +1,7 @@
-"""The step of `rollout` as pure `reset` and `step`, for learners and programs that decide outside of it.
+"""The step of the simulation as pure `reset` and `step`, for learners and programs that decide outside of it.
 
-All functions but two are of one environment, to be `vmap`ed; `step_and_reset` steps a batch and starts every episode
-that is over anew (`renew`), so that a program of any length runs at full speed.
+All functions but two are of one environment, to be `vmap`ed; `step_and_reset` steps a batch and replaces every episode
+that has ended by a new one (`renew`), so that a program of any length runs at full speed.
 """
 
 import equinox as eqx
@@ -19,11 +19,11 @@ from foveate.simulation.step import act, instants, observe, predict, start
 from foveate.types import Action, Count, Key, Scalar
 
 CHUNK = 64
-"""So many episodes are drawn at once where some of a batch are over: what a step costs follows how many are."""
+"""Episodes drawn at once where some of a batch have ended: the cost of a step follows how many have."""
 
 
 class Environment(eqx.Module):
-    """What the agent acts in: the problem, where episodes come from, and the protocol that information grows by.
+    """An environment: the problem, the distribution of episodes, and the protocol that information grows by.
 
     Without `noise` an episode is the noise-free one of the paper's training; with it, targets are pushed and measured
     as in the real world. Raises ValueError for a protocol that asks for truth where there is none.
@@ -52,7 +52,7 @@ class EnvironmentState(eqx.Module):
 
 
 class Transition(eqx.Module):
-    """What a step brought: the growth of the score [nat], whether the episode is over, what is seen after it.
+    """Result of a step: the growth of the score [nat], whether the episode has ended, the observation after it.
 
     The rewards of an episode sum to its last score less its first. `state` and `visible`, the beliefs after the update
     and which targets were really measured, are for pictures.
@@ -67,70 +67,70 @@ class Transition(eqx.Module):
 
 
 def begin(environment: Environment, episode: Episode, key: Key) -> EnvironmentState:
-    """The moment before the first step of an episode."""
+    """The state before the first step of an episode."""
     state = start(environment.problem, episode, environment.protocol)
-    return _moment(environment, episode, state, _score(state, state.present), key)
+    return _state(environment, episode, state, _score(state, state.present), key)
 
 
 def reset(environment: Environment, key: Key, targets: Count | None = None) -> EnvironmentState:
-    """A fresh episode of the training distribution; with `targets` > 0 one of so many."""
+    """A fresh episode of the training distribution; with `targets` > 0 one with that many."""
     episode_key, next_key = jax.random.split(key)
     scenes, noise = environment.scenes, environment.noise
     episode = training_episode(environment.problem, scenes, episode_key, noise, targets=targets)
     return begin(environment, episode, next_key)
 
 
-def observation(moment: EnvironmentState) -> Observation:
-    """What a policy sees; after the last step it has no meaning, but numbers."""
-    return observe(moment.predicted, _known_input(moment.episode, moment.predicted), moment.episode.horizon)
+def observation(current: EnvironmentState) -> Observation:
+    """The observation of a policy; after the last step its numbers have no meaning."""
+    return observe(current.predicted, _known_input(current.episode, current.predicted), current.episode.horizon)
 
 
-def step(environment: Environment, moment: EnvironmentState, action: Action) -> tuple[EnvironmentState, Transition]:
+def step(environment: Environment, current: EnvironmentState, action: Action) -> tuple[EnvironmentState, Transition]:
     """One step of `rollout`: move, measure, update, and predict what comes next; done when step == horizon."""
-    episode, predicted = moment.episode, moment.predicted
+    episode, predicted = current.episode, current.predicted
     instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
     done = act(environment.problem, environment.protocol, predicted, instant, action)
     state = done.state
-    # A target that has just come could not be measured yet.
+    # A target that was born at this step could not be measured yet.
     score = _score(state, state.present & predicted.present)
-    after = _moment(environment, episode, state, score, moment.key)
+    after = _state(environment, episode, state, score, current.key)
     over = state.step >= episode.horizon
-    return after, Transition(score - moment.score, over, score, observation(after), state, done.measured)
+    return after, Transition(score - current.score, over, score, observation(after), state, done.measured)
 
 
 def step_and_reset(
-    environment: Environment, moments: EnvironmentState, actions: Float[Array, "b m"]
+    environment: Environment, states: EnvironmentState, actions: Float[Array, "b m"]
 ) -> tuple[EnvironmentState, Transition]:
-    """One step of a batch: where an episode is over the next one has begun, and the transition shows its end.
+    """One step of a batch: where an episode has ended the next one has begun, and the transition shows the end.
 
-    Every environment draws its episodes from its own key, so that none depends on what the others do.
+    Every environment draws its episodes from its own key, so that none depends on the others.
     """
-    moments, transition = jax.vmap(step, (None, 0, 0))(environment, moments, actions)
-    return renew(environment, moments, transition.done), transition
+    states, transition = jax.vmap(step, (None, 0, 0))(environment, states, actions)
+    return renew(environment, states, transition.done), transition
 
 
 def renew(
     environment: Environment,
-    moments: EnvironmentState,
+    states: EnvironmentState,
     over: Bool[Array, " b"],
     targets: Int[Array, " b"] | None = None,
 ) -> EnvironmentState:
-    """The next episode in those of a batch whose episode is over, each from its own key; `targets` as in `reset`."""
+    """Begin the next episode where one of a batch has ended, each from its own key; `targets` as in `reset`."""
     count = len(over)
 
     def some(carry):
-        moments, over = carry
+        states, over = carry
         rows = jnp.nonzero(over, size=min(CHUNK, count), fill_value=count)[0]
         asked = None if targets is None else targets.at[rows].get(mode="clip")
-        fresh = jax.vmap(reset, (None, 0, 0))(environment, moments.key.at[rows].get(mode="clip"), asked)
+        fresh = jax.vmap(reset, (None, 0, 0))(environment, states.key.at[rows].get(mode="clip"), asked)
         # Rows beyond the batch fill up the chunk, and are dropped.
-        moments = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), moments, fresh)
-        return moments, over.at[rows].set(False, mode="drop")
+        states = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), states, fresh)
+        return states, over.at[rows].set(False, mode="drop")
 
-    return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), some, (moments, over))[0]
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), some, (states, over))[0]
 
 
-def _moment(environment: Environment, episode: Episode, state: State, score: Scalar, key: Key) -> EnvironmentState:
+def _state(environment: Environment, episode: Episode, state: State, score: Scalar, key: Key) -> EnvironmentState:
     predicted = predict(environment.problem, state, _known_input(episode, state))
     return EnvironmentState(episode, predicted, score, key)
 

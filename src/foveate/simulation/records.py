@@ -1,4 +1,4 @@
-"""The records that a simulation is made of: the problem, one episode of it, what a policy sees, what happened."""
+"""Records of a simulation: an episode, what a policy sees and decides, the state between steps, what happened."""
 
 import abc
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from foveate.types import Action, Count, Key, Pose
 
 
 class Truth(eqx.Module):
-    """What really happens to the targets, whatever the agent does.
+    """The true states of the targets, whatever the agent does.
 
     `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance.
     """
@@ -22,14 +22,14 @@ class Truth(eqx.Module):
 
 
 class Arrivals(eqx.Module):
-    """Targets that come and go: who is there at each instant, and the first mean of a belief that begins there."""
+    """Births and deaths: the targets present at each instant, and the first mean of a belief that begins there."""
 
     present: Bool[Array, "instants n"]
     mean: Float[Array, "instants n n_y"]
 
 
 class Episode(eqx.Module):
-    """Everything that is fixed before the agent's first decision; the same for every method.
+    """Everything that is fixed before the agent's first decision, the same for every method.
 
     Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth`
     the simulation is the noise-free one of training, in which the mean is never corrected.
@@ -45,9 +45,9 @@ class Episode(eqx.Module):
 
 
 class Observation(eqx.Module):
-    """What a policy decides on at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
+    """Input of a policy at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
 
-    `left` counts the steps of the episode that are left, this one too. `known_input` is xi_k, the input that led to
+    `left` counts the remaining steps of the episode, this one included. `known_input` is xi_k, the input that led to
     the prediction. Where `present` is false the entry is padding.
     """
 
@@ -61,7 +61,7 @@ class Observation(eqx.Module):
 
 
 class Policy(eqx.Module):
-    """Decides where to go next. `memory` is any pytree that a policy wants to keep from one step to the next."""
+    """A policy: maps an observation to an action. `memory` is any pytree that it keeps from one step to the next."""
 
     def start(self, observation: Observation) -> Any:
         """The memory before the first decision; `observation` is the first one."""
@@ -74,10 +74,10 @@ class Policy(eqx.Module):
 
 
 class Trace(eqx.Module):
-    """What happened in one episode; entries after `horizon` steps are padding.
+    """Record of one episode; entries after `horizon` steps are padding.
 
     `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
-    `rejections` counts the measurements that a gate has rejected in a row; None without a gate.
+    `rejections` counts the measurements in a row that the gate has rejected; None without a gate.
     """
 
     pose: Float[Array, "instants ..."]
@@ -96,12 +96,12 @@ def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Fl
 
 
 class Protocol(NamedTuple):
-    """Where information comes from.
+    """Source of information: the soft view of training, or real measurements.
 
     With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
     the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
     training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter; if the
-    sensor's `uses_missed_detections` says so, it learns from looking in vain, too. With a `gate` it rejects measurements whose
+    sensor says `uses_missed_detections`, also with what was not seen. With a `gate` it rejects measurements whose
     squared distance to their prediction is above that (see `models.gate`).
     """
 
@@ -111,20 +111,16 @@ class Protocol(NamedTuple):
 
 
 SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
-
-
 TRUE = Protocol(levels=())
-
-
 PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
 
 
 class Backpropagation(NamedTuple):
-    """How a gradient goes back through the steps of an episode.
+    """Backpropagation through time.
 
-    With `segment`, only the states at the beginnings of so many steps at a time are remembered, and a segment is run
-    again when its turn comes: a third more work, far less memory, and the same gradient. With `window`, it goes no
-    further back than to the last step whose number is a multiple of it.
+    With `segment` (rematerialisation), only the state at the beginning of every `segment` steps is stored, and the
+    steps between are computed again on the way back: a third more work, far less memory, the same gradient. With
+    `window` (truncation), the gradient goes no further back than to the last step whose number is a multiple of it.
     """
 
     segment: int | None = None
@@ -137,7 +133,7 @@ FULL_BACKPROPAGATION = Backpropagation()
 class State(eqx.Module):
     """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one).
 
-    `rejections` counts each target's measurements that were rejected in a row; None without a gate.
+    `rejections` counts the measurements in a row of each target that were rejected; None without a gate.
     """
 
     step: Count
@@ -149,14 +145,14 @@ class State(eqx.Module):
 
 
 class Reality(eqx.Module):
-    """Where the targets really are after a step, and the standard normals of its measurements."""
+    """True states after a step, and the standard normals of its measurements."""
 
     state: Float[Array, "n n_y"]
     noise: Float[Array, "n n_z"]
 
 
 class Arrival(eqx.Module):
-    """Who is there after a step, and the first mean of a belief that begins there."""
+    """Which targets are present after a step, and the first mean of a belief that begins there."""
 
     present: Bool[Array, " n"]
     mean: Float[Array, "n n_y"]

@@ -180,7 +180,9 @@ def sense(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
 def gate_measurements(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """Reject measurements too far from their prediction; after some in a row, the belief begins again at the last."""
     sensed, rejections, H = draft.sensed, draft.state.rejections, problem.sensor.H
-    assert protocol.gate is not None and sensed is not None and rejections is not None, "`stages` asks for a gate"
+    assert sensed is not None, "`stages` asks for this where there is truth"
+    assert protocol.gate is not None, "`stages` asks for this where there is a gate"
+    assert rejections is not None, "`start` counts them where there is a gate"
 
     def look(mean, information, z, V):
         prediction = Belief(mean, information)
