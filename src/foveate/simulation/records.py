@@ -117,6 +117,7 @@ TRUE = Protocol(levels=())
 
 
 PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
+"""The protocols of an evaluation by name."""
 
 
 class Backpropagation(NamedTuple):
