@@ -175,6 +175,12 @@ def test_the_picture_of_the_layout_names_every_folder_and_places_that_exist() ->
     assert [place for place in places if not list(ROOT.glob(place))] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_tests_that_a_page_names_exist(page: Path) -> None:
+    named = TEST.findall(page.read_text(encoding="utf-8"))
+    assert [f"{file}::{name}" for file, name in named if not defines(ROOT / file, name)] == []
+
+
 def test_every_equation_has_its_code_and_its_test() -> None:
     text = EQUATIONS.read_text(encoding="utf-8")
     assert numbers(text) == NUMBERS

@@ -75,7 +75,5 @@ def _row(name: str, what: str) -> str:
     found = DEFAULT.search(what)
     text = what[: found.start()] if found else what
     default = "*required*" if found and found[1] is None else "" if not found or found[1] in ("None", "") else found[1]
-    option = (
-        name.replace("{None}|", "").replace("{None,", "{").replace(", ", ",").replace(",", ", ").replace("|", " \\| ")
-    )
+    option = re.sub(r",\s*", ", ", name.replace("{None}|", "").replace("{None,", "{")).replace("|", " \\| ")
     return f"| `{option}` | {default} | {text.replace('|', chr(92) + '|')} |"
