@@ -2,39 +2,36 @@
 
     foveate reproduce --quick --add examples/own_method.py:METHOD
 
-This one goes after the target that it knows least about, but takes a near one first.
+This one goes to the target that it knows least about, but takes a near one first.
 """
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
-from foveate.experiment.experiment import Experiment
-from foveate.geometry.linalg import log_det_spd
-from foveate.policies.heuristics import Steering
-from foveate.simulation.records import Observation, Policy
-from foveate.study.methods import Fixed
-from foveate.types import Flag, Point
+import foveate
 
 NATS_PER_METRE = 0.3
-"""How much knowledge a metre of way is worth."""
+"""Information that a metre of the way is worth."""
 
 
-class NearAndUncertain(Steering):
+class NearAndUncertain(foveate.Steering):
     """Steers to the target with the least log det of information plus price of the way."""
 
-    def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
-        """Where to go, whether there is anything to go to, and what to remember."""
-        position = self.problem.motion.position(observation.mean)
-        away = jnp.linalg.norm(position - self.problem.agent.space.position(observation.pose), axis=-1)
-        cost = log_det_spd(observation.information) + NATS_PER_METRE * away
+    def goal(self, observation: foveate.Observation, memory: Any) -> tuple[jax.Array, jax.Array, Any]:
+        """Position of the goal in the world [m], whether there is one, and the memory for the next step."""
+        position_world = self.problem.motion.position(observation.mean)
+        distance = jnp.linalg.norm(position_world - self.problem.agent.space.position(observation.pose), axis=-1)
+        cost = jnp.linalg.slogdet(observation.information).logabsdet + NATS_PER_METRE * distance
         choice = jnp.argmin(jnp.where(observation.present, cost, jnp.inf))
-        return position[choice], observation.present.any(), memory
+        return position_world[choice], observation.present.any(), memory
 
 
-def make(world: Experiment) -> Policy:
-    """The policy for a world: it stands off by half the depth of the view."""
-    return NearAndUncertain(world.scenario.problem(), 0.5 * float(world.scenario.view.depth_m))
+def make(experiment: foveate.Experiment) -> foveate.Policy:
+    """Build the policy for an experiment: it stands off by half the depth of the view."""
+    scenario = experiment.scenario
+    return NearAndUncertain(scenario.problem(), 0.5 * float(scenario.view.depth_m))
 
 
-METHOD = Fixed(name="near-uncertain", make=make)
+METHOD = foveate.Fixed(name="near-uncertain", make=make)

@@ -1,4 +1,4 @@
-"""The trained policies that the package brings: every preset, trained with seed 0 into src/foveate/trained/.
+"""The trained policies that the package brings: every preset, trained with seed 0 into src/foveate/experiment/trained/.
 
     python experiments/trained_presets.py [PRESET ..]
 

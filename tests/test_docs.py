@@ -11,10 +11,17 @@ import pytest
 import foveate
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/*.md")])
+PAGES = sorted(path for folder in (".", "docs", "docs/api", "experiments") for path in (ROOT / folder).glob("*.md"))
 GENERATED = {ROOT / "docs" / "configuration.md", ROOT / "docs" / "commands.md"}
 """Pages that docs/generator makes with the site; tests/test_site.py makes it."""
 EQUATIONS = ROOT / "docs" / "equations.md"
+API = sorted([ROOT / "docs" / "api.md", *ROOT.glob("docs/api/*.md")])
+USERS_PAGES = [
+    page for page in PAGES if page.parent.name != "experiments" and page.stem not in ("equations", "CHANGELOG")
+]
+"""Pages with names for users to copy; the equations quote the package, and the changelog names what was."""
+CONTRIBUTING = ROOT / "CONTRIBUTING.md"
+PUBLIC_MODULES = ("foveate", "foveate.gym", "foveate.stonesoup")
 NUMBERS = list(range(1, 29))
 """The numbered equations of the compiled paper."""
 
@@ -22,6 +29,9 @@ LINK = re.compile(r"\[([^\[\]]*)\]\(([^()\s]+)\)")
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```", re.DOTALL | re.MULTILINE)
 SYMBOL = re.compile(r"`([\w/]+\.py)` `([\w.]+)`")
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(test_\w+)`")
+SHOWN = re.compile(r"^::: foveate\.([\w.]+)$", re.MULTILINE)
+NAMED = re.compile(r"`foveate\.([\w.]+)`")
+PLACE = re.compile(r"`((?:src|tests|docs|examples|\.ci)/[\w/.*]*)`")
 NUMBERED = re.compile(r"^### \((\d+)\)(?:–\((\d+)\))?", re.MULTILINE)
 
 
@@ -38,7 +48,7 @@ def broken_links(page: Path) -> list[str]:
         if re.match(r"[a-z]+:", target):
             continue
         name, _, fragment = target.partition("#")
-        file = page.parent / name if name else page
+        file = (page.parent / name).resolve() if name else page
         if file in GENERATED:
             continue
         if not file.exists() or (fragment and file.suffix == ".md" and fragment not in anchors(file)):
@@ -104,9 +114,71 @@ def untold(text: str) -> list[str]:
     return [part.splitlines()[0] for part in sections if not (SYMBOL.search(part) and TEST.search(part))]
 
 
+def deep_imports(code: str) -> list[str]:
+    """Imports of modules of the package that are not for users."""
+    found = []
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.append(node.module)
+    return [name for name in found if name.partition(".")[0] == "foveate" and name not in PUBLIC_MODULES]
+
+
+def exported() -> list[str]:
+    """Every public name, those of the extras' modules with their module: `gym.TrackingEnv`."""
+    names = [name for name in dir(foveate) if name != "__version__"]
+    for module in PUBLIC_MODULES[1:]:
+        folder = module.partition(".")[2]
+        body = ast.parse((ROOT / "src" / "foveate" / folder / "__init__.py").read_text(encoding="utf-8")).body
+        (value,) = [node.value for node in body if isinstance(node, ast.Assign) and "__all__" in bound(node)]
+        names += [f"{folder}.{name}" for name in ast.literal_eval(value)]
+    return sorted(names)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
 def test_links_lead_somewhere(page: Path) -> None:
     assert broken_links(page) == []
+
+
+@pytest.mark.parametrize("page", USERS_PAGES, ids=[str(page.relative_to(ROOT)) for page in USERS_PAGES])
+def test_pages_import_and_name_only_what_is_public(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    blocks = [code for _, kind, code in FENCE.findall(text) if kind == "python"]
+    assert [name for code in blocks for name in deep_imports(code)] == []
+    public = {*exported(), *(module.partition(".")[2] for module in PUBLIC_MODULES)}
+    assert [name for name in NAMED.findall(text) if name not in public] == []
+
+
+@pytest.mark.parametrize("file", sorted(ROOT.glob("examples/*.py")), ids=lambda file: file.name)
+def test_examples_import_only_what_is_public(file: Path) -> None:
+    assert deep_imports(file.read_text(encoding="utf-8")) == []
+
+
+def test_deep_imports_are_caught() -> None:
+    code = "import foveate.gym, foveate.io.files\ndef f():\n    from foveate.scenario import target\nimport foveate"
+    assert deep_imports(code) == ["foveate.io.files", "foveate.scenario"]
+    assert deep_imports("from foveate import train\nfrom foveate.gym import ID\nimport foveated.x") == []
+
+
+def test_every_public_name_stands_on_one_page() -> None:
+    assert sorted(name for page in API for name in SHOWN.findall(page.read_text(encoding="utf-8"))) == exported()
+
+
+def test_the_picture_of_the_layout_names_every_folder_and_places_that_exist() -> None:
+    text = CONTRIBUTING.read_text(encoding="utf-8")
+    (picture,) = [code for _, kind, code in FENCE.findall(text) if kind == "text"]
+    folders = {path.parent.name for path in ROOT.glob("src/foveate/*/__init__.py")}
+    assert folders == set(re.findall(r"(\w+)/(?=[\s,])", picture.partition("\n")[2]))
+    places = [place for place in PLACE.findall(text) if ROOT / place not in GENERATED]
+    assert len(places) > 20
+    assert [place for place in places if not list(ROOT.glob(place))] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_tests_that_a_page_names_exist(page: Path) -> None:
+    named = TEST.findall(page.read_text(encoding="utf-8"))
+    assert [f"{file}::{name}" for file, name in named if not defines(ROOT / file, name)] == []
 
 
 def test_every_equation_has_its_code_and_its_test() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import runpy
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -56,7 +58,7 @@ def test_the_wheel_is_whole_and_runs(built: Path) -> None:
     assert {name for name in names if ".dist-info/" not in name} == code
     assert {"foveate/py.typed", "foveate/__init__.pyi"} <= names
     for preset in PRESETS:
-        assert {f"foveate/trained/{preset}/{name}" for name in SHIPPED} <= names
+        assert {f"foveate/experiment/trained/{preset}/{name}" for name in SHIPPED} <= names
     metadata = (built / "site" / f"foveate-{foveate.__version__}.dist-info" / "METADATA").read_text(encoding="utf-8")
     for line in ("License-Expression: Apache-2.0", "License-File: LICENSE", "Requires-Python: >=3.11"):
         assert line in metadata
@@ -83,8 +85,9 @@ def test_the_sdist_has_what_a_build_needs(built: Path) -> None:
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "constraints.txt", "Makefile"}
+    wanted |= {"CONTRIBUTING.md", "CODE_OF_CONDUCT.md"}
     assert wanted <= names
-    assert {"src/foveate/trained/paper/record.json", "examples/python_api.py"} <= names
+    assert {"src/foveate/experiment/trained/paper/record.json", "examples/python_api.py"} <= names
 
 
 def test_the_trained_presets_are_small_and_of_their_presets() -> None:
@@ -129,11 +132,56 @@ def test_a_run_of_a_presets_name_comes_first(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_citation_is_of_this_version_and_of_the_paper() -> None:
-    yaml = pytest.importorskip("ruamel.yaml", reason="comes with the extra stonesoup")
-    found = yaml.YAML(typ="safe").load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    found = yaml_of(ROOT / "CITATION.cff")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert (found["cff-version"], found["version"]) == ("1.2.0", foveate.__version__)
     assert found["license"] == project["license"]
     (paper,) = found["references"]
     assert [author["family-names"] for author in paper["authors"]] == ["Yang", "Koga", "Asgharivaskasi", "Atanasov"]
     assert f"## {foveate.__version__}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def yaml_of(path: Path) -> Any:
+    """The content of a YAML file."""
+    yaml = pytest.importorskip("ruamel.yaml", reason="comes with the extra stonesoup")
+    return yaml.YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+
+
+def test_the_continuous_integration_asks_for_what_is_there() -> None:
+    """Targets of the Makefile, every Python of the metadata, and torch in one job alone."""
+    jobs = yaml_of(ROOT / ".github" / "workflows" / "ci.yml")["jobs"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    pythons = [line.rpartition(" ")[2] for line in project["classifiers"] if " :: Python :: " in line]
+    assert jobs["tests"]["strategy"]["matrix"]["python"] == pythons
+    lines = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    targets = {line.split()[1] for line in lines if line.startswith("make ")}
+    assert targets == {"lint", "test-all", "docs", "package"}
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert [name for name in targets if not re.search(rf"^{name}:", makefile, re.MULTILINE)] == []
+    assert [line for line in lines if "ppo" in line] == ["make test-all EXTRA=ppo"]
+    actions = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
+    assert all(re.fullmatch(r"actions/[\w-]+@v\d+", action) for action in actions), "official ones, by major tag"
+
+
+def test_hooks_before_a_commit_are_local() -> None:
+    """They run tools of the development environment, and fetch nothing."""
+    config = yaml_of(ROOT / ".pre-commit-config.yaml")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert [repository["repo"] for repository in config["repos"]] == ["local"]
+    hooks = config["repos"][0]["hooks"]
+    assert {hook["language"] for hook in hooks} == {"system"}
+    tools = {Path(hook["entry"].split()[0]).name for hook in hooks}
+    assert tools == {"ruff", "pyright"}
+    assert tools <= {re.split("[<>=]", line)[0] for line in project["optional-dependencies"]["dev"]}
+
+
+@pytest.mark.parametrize(
+    "form", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda form: form.stem
+)
+def test_forms_of_issues_have_what_is_required_of_them(form: Path) -> None:
+    found = yaml_of(form)
+    assert found["name"]
+    assert found["description"]
+    fields = [part for part in found["body"] if part["type"] != "markdown"]
+    assert len({part["id"] for part in fields}) == len(fields) > 0
+    assert all(part["attributes"]["label"] for part in fields)

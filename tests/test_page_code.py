@@ -1,6 +1,7 @@
 """What a reader of a page copies runs: its Python, its commands, its files. Only sizes are made smaller, and here."""
 
 import re
+import runpy
 import shlex
 import tomllib
 from collections.abc import Iterator
@@ -22,9 +23,9 @@ from foveate.recordings.formats import load_recording
 from foveate.scenario.scenes import read_scenes
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
+PAGES = sorted(path for folder in (".", "docs", "docs/api") for path in (ROOT / folder).glob("*.md"))
 FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.DOTALL | re.MULTILINE)
-IDS = [page.name for page in PAGES]
+IDS = [str(page.relative_to(ROOT)) for page in PAGES]
 
 EPOCHS, EPISODES = 1, 8
 """What a training on a page is cut down to."""
@@ -72,7 +73,7 @@ def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]) -> 
             case ["foveate", *arguments]:
                 assert main(arguments) == 0, words
                 assert asked.pop()
-            case ["make", target]:
+            case ["make", target, *_]:
                 assert re.search(rf"^{target}:", makefile, re.MULTILINE), words
             case ["python", file, *_]:
                 assert (ROOT / file).is_file(), words
@@ -175,3 +176,17 @@ def test_the_page_on_space_runs(reader: Path) -> None:
 def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_python(ROOT / "docs" / "comparison.md")
     assert "NearAndUncertain on table1" in capsys.readouterr().out
+
+
+def test_the_demo_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """One epoch; the table is whole, and the pictures are there."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "1")
+    runpy.run_path(str(ROOT / "examples" / "demo.py"))["main"](EPOCHS)
+    said = capsys.readouterr().out
+    assert [line.split()[:2] for line in said.splitlines() if "%" in line] == [
+        [motion, targets] for motion in ("unbiased", "biased") for targets in "357"
+    ]
+    assert {"table1.json", "trajectories.png", "learning_curve.png", "episode.gif"} <= {
+        path.name for path in (tmp_path / "runs" / "demo").iterdir()
+    }

@@ -175,9 +175,13 @@ def test_the_site_builds(tmp_path: Path) -> None:
     finished()
     build = part("build")
     nav = (GENERATOR / "mkdocs.yml").read_text(encoding="utf-8")
-    pages = [path.relative_to(ROOT).as_posix() for path in sorted(ROOT.glob("docs/*.md"))]
+    found = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.md")])
+    pages = [path.relative_to(ROOT).as_posix() for path in found]
     assert [name for name in [*pages, *build.GENERATED] if f"- {name}\n" not in nav] == [], "not in the navigation"
     assert build.build(tmp_path / "site") > len(pages)
     text = (tmp_path / "site" / "docs" / "equations.html").read_text(encoding="utf-8")
     assert text.count("<math") > 100
     assert "arithmatex" not in text
+    text = (tmp_path / "site" / "docs" / "api" / "scenarios.html").read_text(encoding="utf-8")
+    assert 'id="foveate.SectorView"' in text
+    assert "Full angle, up to 360." in text, "the docstring of a field"

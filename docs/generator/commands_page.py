@@ -5,6 +5,7 @@ import io
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import fields
 from unittest.mock import patch
 
 from foveate.cli.main import COMMANDS, main
@@ -44,7 +45,8 @@ def _section(command: str) -> str:
     usage, _, said = text.partition("\n")
     rows = [row for panel in PANEL.finditer(text) for row in options(panel[1])]
     shown = PANEL.split(said)[0].split("\n\n")
-    table = [_row(name, what) for name, what in rows if not name.startswith("-h,")]
+    current = {field.name.replace("_", "-") for field in fields(COMMANDS[command])}
+    table = [_row(_without_aliases(name, current), what) for name, what in rows if not name.startswith("-h,")]
     return "\n\n".join(
         [
             f"## foveate {command}",
@@ -61,10 +63,17 @@ def _paragraph(text: str) -> str:
     return "\n".join(["```sh", *lines, "```"] if all(line.startswith("foveate ") for line in lines) else lines)
 
 
+def _without_aliases(name: str, current: set[str]) -> str:
+    """The name of an option without those that it had in earlier versions; `current` are the names of today."""
+    parts = name.split(", ")
+    kept = [part for part in parts if part.removeprefix("--").removeprefix("no-") in current]
+    return ", ".join(kept) if len(kept) > 1 else name
+
+
 def _row(name: str, what: str) -> str:
     """A line of the table: choices may be broken into lines, and cells have no bars."""
     found = DEFAULT.search(what)
     text = what[: found.start()] if found else what
     default = "*required*" if found and found[1] is None else "" if not found or found[1] in ("None", "") else found[1]
-    option = name.replace("{None}|", "").replace("{None,", "{").replace(",", ", ").replace("|", " \\| ")
+    option = re.sub(r",\s*", ", ", name.replace("{None}|", "").replace("{None,", "{")).replace("|", " \\| ")
     return f"| `{option}` | {default} | {text.replace('|', chr(92) + '|')} |"

@@ -10,7 +10,7 @@ FENCE = r"^ *```.*?^ *```"
 LINK = r"\[(?P<label>(?:[^\[\]]|\[[^\[\]]*\])*)\]\((?P<target>[^()\s#]+)(?P<anchor>#[^()\s]*)?\)"
 FOUND = re.compile(rf"{FENCE}|{LINK}", re.DOTALL | re.MULTILINE)
 LABEL = re.compile(r"`[\w/]+\.py` `([\w.]+)`|`[\w/]+\.py::(\w+)`")
-PAGES = ("README.md", "CHANGELOG.md", "docs/*.md", "experiments/*.md")
+PAGES = ("*.md", "docs/*.md", "docs/api/*.md", "experiments/*.md")
 AS_THEY_ARE = {".png", ".gif", ".svg", ".jpg", ".css", ".html"}
 ASSETS = ("docs/images/logo.svg", "docs/generator/site.css")
 

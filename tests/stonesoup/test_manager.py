@@ -343,7 +343,7 @@ def test_what_has_no_place_is_said_in_one_line():
 def test_without_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "stonesoup", None)
     with pytest.raises(ImportError, match=r"pip install 'foveate\[stonesoup\]'"):
-        runpy.run_path(str(SOURCE / "stonesoup_parts.py"))
+        runpy.run_path(str(SOURCE / "stonesoup" / "parts.py"))
 
 
 def test_the_page_runs(tmp_path, monkeypatch):

@@ -65,6 +65,7 @@ PRESETS = {
         training=ActorCriticSettings(algorithm="actor-critic", objective="mean"),
     ),
 }
+"""The presets by name: whole experiments, each with a trained policy in the package."""
 
 
 PPO = {

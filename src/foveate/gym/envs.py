@@ -30,6 +30,7 @@ except ImportError as error:
 
 
 ID = "foveate/Tracking-v0"
+"""Name of the environments in Gymnasium's registry."""
 
 
 class TrackingEnv(gymnasium.Env):

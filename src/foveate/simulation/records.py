@@ -113,6 +113,7 @@ class Protocol(NamedTuple):
 SURROGATE = Protocol(levels=(PAPER_SOFTNESS,))
 TRUE = Protocol(levels=())
 PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
+"""The protocols of an evaluation by name."""
 
 
 class Backpropagation(NamedTuple):

@@ -91,7 +91,7 @@ class TwistActionGenerator(ActionGenerator):
 class BodyMovable(FixedMovable):
     """A movement controller that carries out commands of a foveate `Agent`: T' = T exp(tau hat(u)), heading included.
 
-    `orientation` is Stone Soup's [roll, pitch, yaw] [rad]. Without a command, and after its end, the body is as still
+    `orientation` is Stone Soup's [roll, pitch, yaw], in rad. Without a command, and after its end, the body is as still
     as its limits allow. The velocity that it reports is 0, as any FixedMovable's. Raises ValueError where
     `position_mapping` has not as many entries as the agent's space dimensions, or `levels` not one number an axis.
     """
