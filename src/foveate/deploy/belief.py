@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from foveate.deploy import kalman
 from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.simulation.records import Observation
@@ -122,10 +123,10 @@ def predicted(belief: Belief, problem: Problem, known_input: ArrayLike | None = 
     """
     motion = problem.period.motion
     A, B, W = (np.asarray(x[step % len(motion.A)], float) for x in (motion.A, motion.B, motion.W))
-    now = fitting(belief.with_inputs(known_input), problem)
-    assert now.known_input is not None, "a belief that fits has them"
-    mean, covariance = now.mean @ A.T + now.known_input @ B.T, A @ now.covariance @ A.T + W
-    return Belief(mean, covariance=covariance, present=now.present, known_input=now.known_input)
+    before = fitting(belief.with_inputs(known_input), problem)
+    assert before.known_input is not None, "a belief that fits has them"
+    mean, covariance = kalman.predict(before.mean, before.covariance, before.known_input, A, B, W)
+    return Belief(mean, covariance=covariance, present=before.present, known_input=before.known_input)
 
 
 def _mask(present: ArrayLike | None, n: int) -> Bool[np.ndarray, " n"]:
