@@ -21,7 +21,7 @@ class SceneSettings:
 
     Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` with half side
     `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
-    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in [-drift_m_s, drift_m_s] on each
+    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in [-drift_m_s, drift_m_s] per
     axis, one for all targets of a scene (`shared_drift`) or each its own. Targets that are positions driven by an input
     get a new jitter, uniform in [-jitter_m_s, jitter_m_s], added at each step; for other kinds the drift is the first
     velocity. `known_drift`: the agent knows these inputs (the paper: yes). `process_noise`: targets are also pushed by

@@ -11,7 +11,7 @@ class SensorSettings:
     """Linear measurement z = H y + eta, eta ~ N(0, V), of a target inside the view.
 
     `std_m` is the standard deviation of a measured position [m]; `V` replaces it by a full covariance, `H` measures
-    another part of the state. V is given in `frame`, and its standard deviation grows with the range r [m] by the factor
+    another part of the state. V is given in `frame`; the standard deviation grows with the range r [m] by the factor
     1 + range_growth_per_m r. With `missed_detections = "used"` the Kalman filter that really runs also learns from not
     seeing a target inside the view; without, from measurements alone.
     """
