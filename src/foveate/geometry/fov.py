@@ -1,9 +1,9 @@
 """Fields of view: regions of the body frame with an exact signed distance. Here: half-spaces and balls.
 
 The lower-case function of a shape's name makes it from plain numbers, which it checks. The classes check nothing, so
-that their parameters may be traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`. More shapes are in
-`fov_planar` and `fov_spatial`. Products of coordinates are summed elementwise, never by matmul, which accelerators round
-to fewer bits.
+that their parameters may be traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`. More are in
+`fov_planar` and `fov_spatial`. Products of coordinates are summed elementwise, never by matmul, which accelerators
+round to fewer bits.
 """
 
 import abc
