@@ -52,7 +52,9 @@ def standard_points(
 def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
     """The Gaussian with the mean and covariance of N(mu, C) given that the position Z y is not inside of the view.
 
-    `is_inside` tests positions in the world [m]. Position p = Z y has mean m = Z mu and covariance S = Z C Z^T, on which the rest of the state depends by
+    `is_inside` tests positions in the world [m].
+
+    Position p = Z y has mean m = Z mu and covariance S = Z C Z^T, on which the rest of the state depends by
     G = C Z^T S^-1. With the moments m', S' of p outside, mu' = mu + G (m' - m) and C' = C + G (S' - S) G^T.
     """
     covariance = inverse_spd(belief.information)
@@ -63,14 +65,15 @@ def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: 
     points: Float[Array, "points d"] = middle + standard @ cholesky_spd(spread).T
     inside = is_inside(points)
     weights = jnp.where(inside, 0.0, weights)
-    says_something = jnp.any(inside) & (jnp.sum(weights) >= MIN_OUTSIDE)
+    # Without a point inside nothing was learned; with nearly all inside, the few points left would be a poor sample.
+    is_informative = jnp.any(inside) & (jnp.sum(weights) >= MIN_OUTSIDE)
     moved, left = _moments(points, weights)
     gain = multiply(cross, inverse_spd(spread))
     shrunk = covariance + multiply(multiply(gain, left - spread), gain.T)
-    safe = symmetrise(jnp.where(says_something, shrunk, covariance))
+    safe = symmetrise(jnp.where(is_informative, shrunk, covariance))
     return Belief(
-        mean=jnp.where(says_something, belief.mean + gain @ (moved - middle), belief.mean),
-        information=jnp.where(says_something, inverse_spd(safe), belief.information),
+        mean=jnp.where(is_informative, belief.mean + gain @ (moved - middle), belief.mean),
+        information=jnp.where(is_informative, inverse_spd(safe), belief.information),
     )
 
 
