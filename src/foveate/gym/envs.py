@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -22,12 +23,6 @@ from gymnasium.vector.utils import batch_space
 from foveate.errors import InputError
 from foveate.gym.task import Task, TaskSettings, keys_of
 from foveate.scenario.scenario import Scenario
-
-try:
-    import gymnasium
-except ImportError as error:
-    raise ImportError("foveate.gym needs gymnasium: pip install 'foveate[gym]'") from error
-
 
 ID = "foveate/Tracking-v0"
 

@@ -20,6 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from stonesoup.models.base import GaussianModel, LinearModel
+from stonesoup.predictor import Predictor
+from stonesoup.sensormanager import SensorManager
+from stonesoup.types.track import Track
 
 from foveate.errors import InputError
 from foveate.geometry import fov, fov_planar
@@ -29,13 +33,6 @@ from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.simulation.records import Observation, Policy
 from foveate.stonesoup.parts import BodyMovable, Property, TwistAction, pose_of
-
-# isort: split
-# After our own, which say which extra is missing.
-from stonesoup.models.base import GaussianModel, LinearModel
-from stonesoup.predictor import Predictor
-from stonesoup.sensormanager import SensorManager
-from stonesoup.types.track import Track
 
 
 def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, ...]:

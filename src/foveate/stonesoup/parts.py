@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+from stonesoup import base
 from stonesoup.functions import build_rotation_matrix
 from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.movable import FixedMovable
@@ -21,12 +22,6 @@ from foveate.errors import InputError
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
-
-try:
-    from stonesoup import base
-except ImportError as error:
-    raise ImportError("foveate.stonesoup needs stonesoup: pip install 'foveate[stonesoup]'") from error
-
 
 Property: Any = base.Property
 """Stone Soup's, which is declared as the type of what it holds."""
