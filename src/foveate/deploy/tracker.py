@@ -132,8 +132,8 @@ class Tracker:
         tracked = [target for target in finite if target in row_of]
         accepted = self._correct(pose, [row_of[target] for target in tracked], [measured[target] for target in tracked])
         updated = tuple(compress(tracked, accepted))
-        # One rejected detection is an outlier, several in a row are a target that has moved: its old belief would reject
-        # the truth for ever.
+        # One rejected detection is an outlier; several in a row mean that the target has moved: its old belief would
+        # reject the truth for ever.
         jumped = self._jumped(tracked, accepted)
         for target in jumped:
             i = row_of[target]
