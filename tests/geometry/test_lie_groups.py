@@ -8,7 +8,6 @@ from helpers.lie_oracles import (
     PLANAR_TWISTS,
     POSES,
     PRECISIONS,
-    ROTATIONS,
     SE2,
     SE3,
     SO3,
@@ -22,36 +21,32 @@ from helpers.lie_oracles import (
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from foveate.geometry import lie
+from foveate.geometry import lie, lie_planar
 
-move_se2 = jit(lie.move_se2)
+move_se2 = jit(lie_planar.move_se2)
 quaternion_so3, rotation_quaternion = jit(lie.quaternion_so3), jit(lie.rotation_quaternion)
 
 
-GROUPS = {"so3": (SO3, ROTATIONS), "se3": (SE3, TWISTS), "se2": (SE2, PLANAR_TWISTS)}
+GROUPS = {"se3": (SE3, TWISTS), "se2": (SE2, PLANAR_TWISTS)}
+OPERATIONS = {
+    "se3": {
+        "inverse": lie.inverse_se3,
+        "compose": lie.compose_se3,
+        "act": lie.act_se3,
+        "body_point": lie.body_point_se3,
+    },
+    "se2": {"act": lie_planar.act_se2, "body_point": lie_planar.body_point_se2},
+}
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("group", GROUPS)
-def test_hat_and_vee(group, dtype):
-    generators, _ = GROUPS[group]
-    n = len(generators)
-    twists = np.arange(1, 4 * n + 1, dtype=dtype).reshape(2, 2, n)
-    forth, back = getattr(lie, f"hat_{group}"), getattr(lie, f"vee_{group}")
-
-    @jit
-    def together(twists):
-        matrices = forth(twists)
-        modes = [[mode(forth)(twists[0, 0]), mode(back)(matrices[0, 0])] for mode in (jax.jacfwd, jax.jacrev)]
-        return matrices, back(matrices), modes
-
-    matrices, returned, modes = together(twists)
+def test_hat_so3(dtype):
+    w = jnp.arange(1, 13, dtype=dtype).reshape(2, 2, 3)
+    matrices = lie.hat_so3(w)
     assert matrices.dtype == dtype
-    np.testing.assert_array_equal(matrices, hat(generators, twists))
-    np.testing.assert_array_equal(returned, twists)
-    for of_hat, of_vee in modes:
-        np.testing.assert_array_equal(of_hat, np.moveaxis(generators, 0, -1))
-        np.testing.assert_array_equal(np.einsum("iab,jab->ij", of_vee, generators), np.eye(n))
+    np.testing.assert_array_equal(matrices, hat(SO3, np.asarray(w)))
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_array_equal(mode(lie.hat_so3)(w[0, 0]), np.moveaxis(SO3, 0, -1))
 
 
 def element(group, matrix, yaw):
@@ -65,7 +60,7 @@ def expected_operations(group, a, b, points):
     first, second, inverse = (expm(hat(generators, twist)) for twist in (a, b, -a))
     by_a, by_b, inverse_by_a = derivative(generators, a), derivative(generators, b), -derivative(generators, -a)
     last = np.broadcast_to(np.eye(a.shape[1])[-1], a.shape)
-    ends = points if group == "so3" else np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    ends = np.concatenate([points, np.ones((len(points), 1))], axis=1)
 
     def image(matrix):
         return np.einsum("kab...,kb->ka...", matrix, ends)[:, :size]
@@ -94,11 +89,9 @@ def test_operations_and_their_jacobians(group, dtype, tolerance):
     first, second, point = (jnp.asarray(each, dtype) for each in (*elements, points))
     arguments = {"inverse": (first,), "compose": (first, second), "act": (first, point), "body_point": (first, point)}
     changes = dict.fromkeys(arguments, (tangents[0], by_point)) | {"inverse": tangents[:1], "compose": tangents}
-    for name, (value, *derivatives) in expected_operations(group, a, b, points).items():
-        function = getattr(lie, f"{name}_{group}", None)
-        if function is None:
-            assert (name, group) == ("body_point", "so3")
-            continue
+    expected_values = expected_operations(group, a, b, points)
+    for name, function in OPERATIONS[group].items():
+        value, *derivatives = expected_values[name]
         places = tuple(range(len(arguments[name])))
         both = jit(jax.vmap(lambda *x, f=function, i=places: (f(*x), jax.jacfwd(f, i)(*x), jax.jacrev(f, i)(*x))))
         actual, *modes = both(*arguments[name])
@@ -111,16 +104,9 @@ def test_operations_and_their_jacobians(group, dtype, tolerance):
                 assert_near(along.reshape(expected.shape), expected, 5 * tolerance)
 
 
-def test_planar_poses_count_turns():
-    """Against homogeneous matrices, at yaws of any size; 11 + 11 is not wrapped."""
+def test_planar_rotation_of_any_yaw():
     for pose in POSES:
-        a, matrix = jnp.asarray(pose), matrix_2d(pose)
-        np.testing.assert_allclose(lie.matrix_se2(a), matrix, atol=1e-14)
-        np.testing.assert_allclose(matrix_2d(np.asarray(lie.inverse_se2(a))), np.linalg.inv(matrix), atol=1e-14)
-        for other in POSES:
-            composed = np.asarray(lie.compose_se2(a, jnp.asarray(other)))
-            np.testing.assert_allclose(matrix_2d(composed), matrix @ matrix_2d(other), atol=1e-13)
-            assert composed[2] == pose[2] + other[2]
+        np.testing.assert_allclose(lie_planar.rotation_se2(jnp.asarray(pose)), matrix_2d(pose)[:2, :2], atol=1e-14)
 
 
 @PRECISIONS
@@ -155,15 +141,12 @@ POINTS = jnp.asarray(np.linspace(-1, 2, 15).reshape(5, 3))
 @pytest.mark.parametrize(
     ("function", "left", "right"),
     [
-        (lie.act_so3, TRANSFORMS[:, :3, :3], POINTS),
-        (lie.compose_so3, TRANSFORMS[:, :3, :3], TRANSFORMS[:, :3, :3]),
         (lie.act_se3, TRANSFORMS, POINTS),
         (lie.body_point_se3, TRANSFORMS, POINTS),
         (lie.compose_se3, TRANSFORMS, TRANSFORMS),
-        (lie.act_se2, jnp.asarray(POSES[:3]), POINTS[:, :2]),
-        (lie.body_point_se2, jnp.asarray(POSES[:3]), POINTS[:, :2]),
-        (lie.compose_se2, jnp.asarray(POSES[:3]), POINTS),
-        (lie.move_se2, jnp.asarray(POSES[:3]), POINTS),
+        (lie_planar.act_se2, jnp.asarray(POSES[:3]), POINTS[:, :2]),
+        (lie_planar.body_point_se2, jnp.asarray(POSES[:3]), POINTS[:, :2]),
+        (lie_planar.move_se2, jnp.asarray(POSES[:3]), POINTS),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )

@@ -6,14 +6,15 @@ import sys
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from foveate.errors import InputError
 from foveate.io.records import from_table, to_table
-from foveate.io.toml import digest, dumps_toml, load_toml
+from foveate.io.toml import digest, dumps_toml, load_toml, save_toml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,6 +312,52 @@ def test_a_table_without_a_tag_means_the_member_that_has_a_default_for_it() -> N
 
     assert from_table(Both, {"part": {"count": 3}}, "test").part == Usual(count=3)
     assert from_table(Both, {"part": {"kind": "other"}}, "test").part == Other(kind="other")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Renamed:
+    RENAMED: ClassVar[dict[str, str]] = {"breadth": "width"}
+    width: float = 1.0
+    depth: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldsRenamed:
+    view: Renamed = Renamed()
+
+
+def test_old_key_is_read_as_the_new_one(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[view]\nbreadth = 3\n")
+    assert load_toml(HoldsRenamed, path) == HoldsRenamed(view=Renamed(width=3.0))
+    assert "width = 3.0" in dumps_toml(load_toml(HoldsRenamed, path))
+    path.write_text("[view]\nbreadth = 'x'\n")
+    with pytest.raises(InputError, match=r"view\.width = 'x': wanted a finite number"):
+        load_toml(HoldsRenamed, path)
+
+
+def test_old_and_new_key_together_are_rejected(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[view]\nbreadth = 3\nwidth = 4\n")
+    with pytest.raises(
+        InputError, match=r"run\.toml: view\.breadth = 3: is the former name of width: give one of them"
+    ):
+        load_toml(HoldsRenamed, path)
+
+
+def test_sealed_file_with_an_old_key_keeps_its_digest(tmp_path: Path) -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Holds:
+        breadth: float = 1.0
+
+    old, path = Holds(breadth=3.0), tmp_path / "run.toml"
+    save_toml(old, path)
+    text = path.read_text().replace("foveate-holds", "foveate-renamed")
+    path.write_text(text)
+    assert load_toml(Renamed, path) == Renamed(width=3.0)
+    path.write_text(text.replace("breadth = 3.0", "breadth = 3.5"))
+    with pytest.raises(InputError, match="does not fit its digest"):
+        load_toml(Renamed, path)
 
 
 def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours() -> None:

@@ -123,7 +123,7 @@ def test_loss_is_ppo_s_clipped_one():
     episode = training_episode(problem, TINY.scenario.scenes, jax.random.key(2), noise=True)
     action_std, rng = jnp.asarray(0.3), np.random.default_rng(3)
     policy, critic = learner.policy, learner.critic
-    tried = eqx.filter_jit(actor_critic.sample_trajectory)(
+    tried = eqx.filter_jit(sample_trajectory)(
         problem, policy, episode, PROTOCOLS["true"], "terminal", action_std, jax.random.key(5)
     )
     rows = len(tried.reward)

@@ -68,15 +68,18 @@ BAD = {
     "V not square": (lambda: SensorSettings(V=SPARSE), "expected shape 2 x 2, got 2 x 3"),
     "H ragged": (lambda: SensorSettings(H=((1.0, 0.0), (1.0,))), "H = ((1.0, 0.0), (1.0,))"),
     "H empty": (lambda: SensorSettings(H=()), "H = ()"),
-    "H too wide": (lambda: Scenario(sensor=SensorSettings(H=SPARSE)), "sensor.H has 3 columns: expected 2"),
-    "V of another size": (lambda: Scenario(sensor=SensorSettings(V=((1.0,),))), "sensor.V is 1 x 1: expected 2 x 2"),
+    "H too wide": (
+        lambda: Scenario(sensor=SensorSettings(H=SPARSE)),
+        "sensor.H = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)): expected 2 columns",
+    ),
+    "V of another size": (lambda: Scenario(sensor=SensorSettings(V=((1.0,),))), "sensor.V = ((1.0,),): expected 2 x 2"),
     "body noise of a part": (
         lambda: Scenario(sensor=SensorSettings(H=((1.0, 0.0),), V=((1.0,),), frame="body")),
         "sensor.frame = 'body'",
     ),
     "more measurements than states": (
         lambda: Scenario(sensor=SensorSettings(H=(*EYE, (1.0, 1.0)))).problem(),
-        "H",
+        "expected at most 2 rows",
     ),
     "no axis": (lambda: FreeBody(kind="body", axes=(), lower=(), upper=()), "axes = ()"),
     "unknown axis": (lambda: FreeBody(kind="body", axes=("w",), lower=(-1.0,), upper=(1.0,)), "no axis 'w'"),

@@ -193,7 +193,7 @@ def test_bad_schedules(settings, words):
 
 
 def test_schedules_of_another_size():
-    with pytest.raises(ValueError, match=r"schedule\.V is 1 x 1: expected 2 x 2"):
+    with pytest.raises(ValueError, match=r"schedule\.V = \(\(1\.0,\),\): expected 2 x 2"):
         Scenario(schedule=ScheduleSettings(V=(((1.0,),),)))
-    with pytest.raises(ValueError, match=r"schedule\.W is 1 x 1: expected 2 x 2"):
+    with pytest.raises(ValueError, match=r"schedule\.W = \(\(1\.0,\),\): expected 2 x 2"):
         Scenario(schedule=ScheduleSettings(W=(((1.0,),),)))

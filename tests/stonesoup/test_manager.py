@@ -1,6 +1,7 @@
 """The sensor manager in real Stone Soup runs: its Kalman filter, its managers and its geometry are the oracles."""
 
 import datetime
+import importlib
 import re
 import runpy
 import sys
@@ -48,7 +49,6 @@ from foveate.stonesoup.manager import state_order
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "stonesoup.md"
-SOURCE = ROOT / "src" / "foveate"
 EXPERIMENT = runpy.run_path(str(ROOT / "experiments" / "stone_soup.py"))
 START, SECOND = datetime.datetime(2026, 1, 1), datetime.timedelta(seconds=1)
 PROBLEM = PRESETS["best"].scenario.problem()
@@ -299,7 +299,7 @@ def test_another_world_is_warned_of():
     _, platform = mounted(body, view=view, **plain)
     model = CombinedLinearGaussianTransitionModel([RandomWalk(0.05**2)] * 2)
     given = {"policy": Ending(), "predictor": KalmanPredictor(model), "trained_for": PROBLEM}
-    with pytest.warns(UserWarning, match="another world: body and its limits, field of view$"):
+    with pytest.warns(UserWarning, match="another problem: body and its limits, field of view$"):
         PolicySensorManager(platforms={platform}, **given)
     _, platform = mounted(body_of(), **plain)
     PolicySensorManager(platforms={platform}, **given)  # no warning, or this test fails
@@ -342,8 +342,9 @@ def test_what_has_no_place_is_said_in_one_line():
 
 def test_without_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "stonesoup", None)
+    monkeypatch.delitem(sys.modules, "foveate.stonesoup")
     with pytest.raises(ImportError, match=r"pip install 'foveate\[stonesoup\]'"):
-        runpy.run_path(str(SOURCE / "stonesoup" / "parts.py"))
+        importlib.import_module("foveate.stonesoup")
 
 
 def test_the_page_runs(tmp_path, monkeypatch):

@@ -80,8 +80,8 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     """A table on standard output; the first two columns are text, the others numbers."""
     from rich.console import Console
 
-    from foveate.io.tables import WIDE, Table, draw
+    from foveate.io.tables import TABLE_WIDTH, Table, draw
 
     table = Table(title=title, header=tuple(header), rows=tuple(tuple(row) for row in rows))
     # Not a terminal: no colours, and as wide as the table needs.
-    draw(table, Console() if sys.stdout.isatty() else Console(width=WIDE, no_color=True))
+    draw(table, Console() if sys.stdout.isatty() else Console(width=TABLE_WIDTH, no_color=True))

@@ -1,28 +1,34 @@
-"""What is known of the targets, as numpy arrays: what a policy decides on, from a tracker or from anywhere."""
+"""Beliefs about the targets as numpy arrays, from a tracker or from anywhere: the basis of a policy's decision."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from foveate.deploy import kalman
 from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.simulation.records import Observation
 
-ASYMMETRY = 1e-5
-"""Of the largest entry: what rounding in float32 may leave between two that should be equal."""
+SYMMETRY_TOLERANCE = 1e-5
+"""Largest difference of two entries that should be equal, in parts of the largest entry: rounding in float32."""
 
 
 class Belief:
-    """Gaussians over the states of n targets in the world: means, information matrices, and who is there.
+    """Gaussians over the states of n targets in the world: means, information matrices, and a mask of padding.
 
-    `mean` is (n, n_y), a row a target, which begins with its position [m]. Give `covariance` or its inverse,
-    `information`: (n, n_y, n_y), or one matrix (n_y, n_y) for all. `present` (n,) is true where there is a target (by
-    default everywhere); what stands elsewhere is padding, and ignored. `known_input` (n, m_y) is the input xi that led
-    to a prediction (by default none is known: 0). Raises ValueError for other shapes, numbers of a target that are not
-    finite, and matrices that are not symmetric and positive definite.
+    Attributes have the names of the arguments, as float64 copies; `known_input` is None where it was not given.
 
-    All is kept as float64, copied: `mean`, `information`, `present`, `known_input` (None where it was not given).
+    Args:
+        mean: (n, n_y), a row per target, which begins with its position [m].
+        covariance: (n, n_y, n_y), or one matrix (n_y, n_y) for all; give this or `information`.
+        information: The inverse of `covariance`, likewise.
+        present: (n,) of bool, false for rows of padding, which are ignored; by default all true.
+        known_input: (n, m_y), the inputs xi that led to a prediction; by default 0.
+
+    Raises:
+        InputError: A shape is wrong, a number of a target is not finite, or a matrix is not symmetric and positive
+            definite.
     """
 
     def __init__(
@@ -58,7 +64,7 @@ class Belief:
 
     @property
     def targets(self) -> int:
-        """How many are there, padding aside."""
+        """Number of targets, without padding."""
         return int(self.present.sum())
 
     def with_inputs(self, known_input: ArrayLike | None) -> "Belief":
@@ -66,15 +72,15 @@ class Belief:
         return Belief(self.mean, information=self.information, present=self.present, known_input=known_input)
 
     def padded(self, size: int) -> "Belief":
-        """The same with padding up to `size` rows; as it is where it has as many."""
+        """The same with padding up to at least `size` rows."""
         if (missing := size - len(self.mean)) <= 0:
             return self
-        more = ((0, missing), (0, 0))
+        added = ((0, missing), (0, 0))
         return Belief(
-            np.pad(self.mean, more),
-            information=np.pad(self.information, (*more, (0, 0))),
-            present=np.pad(self.present, more[0]),
-            known_input=None if self.known_input is None else np.pad(self.known_input, more),
+            np.pad(self.mean, added),
+            information=np.pad(self.information, (*added, (0, 0))),
+            present=np.pad(self.present, added[0]),
+            known_input=None if self.known_input is None else np.pad(self.known_input, added),
         )
 
     def __repr__(self) -> str:
@@ -85,7 +91,7 @@ class Belief:
 
 
 def fitting(belief: Belief, problem: Problem) -> Belief:
-    """The belief, with known inputs, 0 where it has none. Raises ValueError where it is of other targets."""
+    """The belief with known inputs, 0 where it has none. Raises InputError unless its sizes are the problem's."""
     (n, n_y), size, m_y = belief.mean.shape, problem.motion.state_size, problem.motion.input_size
     if n_y != size:
         raise InputError(
@@ -101,7 +107,7 @@ def fitting(belief: Belief, problem: Problem) -> Belief:
 def observation(
     belief: Belief, problem: Problem, pose: Float[np.ndarray, "..."], left: int, size: int = 0, step: int = 0
 ) -> Observation:
-    """What a policy sees of a predicted belief at a pose, `left` steps before the end, padded to `size` targets."""
+    """Observation of a policy from a predicted belief at a pose, `left` steps before the end, padded to `size`."""
     known = fitting(belief, problem).padded(size)
     assert known.known_input is not None, "a belief that fits has them"
     return Observation(
@@ -118,21 +124,21 @@ def observation(
 def predicted(belief: Belief, problem: Problem, known_input: ArrayLike | None = None, step: int = 0) -> Belief:
     """The belief one step ahead: A mu + B xi and A P A^T + W, with the matrices of that step of the problem.
 
-    `known_input` are xi, (n, m_y), 0 by default. Raises ValueError where a shape is not that of the problem's targets.
+    `known_input` are xi, (n, m_y), 0 by default. Raises InputError where a shape is not that of the problem's targets.
     """
     motion = problem.period.motion
     A, B, W = (np.asarray(x[step % len(motion.A)], float) for x in (motion.A, motion.B, motion.W))
-    now = fitting(belief.with_inputs(known_input), problem)
-    assert now.known_input is not None, "a belief that fits has them"
-    mean, covariance = now.mean @ A.T + now.known_input @ B.T, A @ now.covariance @ A.T + W
-    return Belief(mean, covariance=covariance, present=now.present, known_input=now.known_input)
+    before = fitting(belief.with_inputs(known_input), problem)
+    assert before.known_input is not None, "a belief that fits has them"
+    mean, covariance = kalman.predict(before.mean, before.covariance, before.known_input, A, B, W)
+    return Belief(mean, covariance=covariance, present=before.present, known_input=before.known_input)
 
 
 def _mask(present: ArrayLike | None, n: int) -> Bool[np.ndarray, " n"]:
-    there = np.ones(n, bool) if present is None else np.array(present)
-    if there.shape != (n,) or there.dtype != bool:
-        raise InputError(f"present has shape {there.shape} of {there.dtype}: expected ({n},) of bool")
-    return there
+    mask = np.ones(n, bool) if present is None else np.array(present)
+    if mask.shape != (n,) or mask.dtype != bool:
+        raise InputError(f"present has shape {mask.shape} of {mask.dtype}: expected ({n},) of bool")
+    return mask
 
 
 def _rows(name: str, rows: np.ndarray, present: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n numbers"]:
@@ -152,10 +158,10 @@ def _matrices(
     (n, n_y), given, identity = mean.shape, np.array(value, float), np.eye(mean.shape[1])
     if given.shape not in ((n, n_y, n_y), (n_y, n_y)):
         raise InputError(f"{name} has shape {given.shape}: expected ({n}, {n_y}, {n_y}), or ({n_y}, {n_y}) for all")
-    found = np.where(present[:, None, None], given, identity)
-    for i, matrix in enumerate(found):
+    matrices = np.where(present[:, None, None], given, identity)
+    for i, matrix in enumerate(matrices):
         finite = bool(np.isfinite(matrix).all())
-        symmetric = finite and np.abs(matrix - matrix.T).max() <= ASYMMETRY * np.abs(matrix).max()
+        symmetric = finite and np.abs(matrix - matrix.T).max() <= SYMMETRY_TOLERANCE * np.abs(matrix).max()
         if not symmetric or np.linalg.eigvalsh(matrix)[0] <= 0:
             raise InputError(f"{name}[{i}] = {matrix.tolist()}: expected finite, symmetric and positive definite")
-    return 0.5 * (found + found.swapaxes(1, 2))
+    return 0.5 * (matrices + matrices.swapaxes(1, 2))

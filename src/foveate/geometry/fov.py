@@ -1,9 +1,9 @@
-"""Fields of view: regions of the body frame with an exact signed distance, in the plane and in any dimension.
+"""Fields of view: regions of the body frame with an exact signed distance. Here: half-spaces and balls.
 
-Each shape is made by the lower-case function of its name, which checks plain numbers. The classes check
-nothing, so their parameters may be traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`.
-Shapes of space, and combinations, are in `fov_spatial`. Products of coordinates are summed elementwise, never
-by matmul, which accelerators round to fewer bits.
+The lower-case function of a shape's name makes it from plain numbers, which it checks. The classes check nothing, so
+that their parameters may be traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`. More are in
+`fov_planar` and `fov_spatial`. Products of coordinates are summed elementwise, never by matmul, which accelerators
+round to fewer bits.
 """
 
 import abc
@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from foveate.errors import InputError
 from foveate.geometry.safe import length
+from foveate.io.validate import require
 from foveate.types import Point, Scalar
 
 Number = float | int
@@ -50,7 +50,7 @@ class FieldOfView(eqx.Module):
         """
 
     def contains(self, point_body: Float[Array, "... d"]) -> Bool[Array, "..."]:
-        """Whether the point lies in F, boundary included."""
+        """True where the point [m] lies in F, boundary included."""
         return self.signed_distance(point_body) <= 0
 
 
@@ -65,12 +65,6 @@ def closed(points: np.ndarray) -> np.ndarray:
     return np.concatenate([points, points[:1]])
 
 
-def require(ok: bool | np.bool, name: str, value: object, right: str) -> None:
-    """Raise a one-line ValueError that names the parameter, what it must be and its value, unless `ok`."""
-    if not ok:
-        raise InputError(f"{name} must be {right}, got {value!r}")
-
-
 class HalfSpace(FieldOfView):
     """All p with normal . p <= offset [m], `normal` a unit vector, in the plane or in space."""
 
@@ -79,13 +73,16 @@ class HalfSpace(FieldOfView):
 
     @property
     def dimension(self) -> int:
+        """2 or 3, as the normal's length."""
         return self.normal.shape[-1]
 
     @property
     def depth(self) -> Scalar:
+        """inf: a half-space is unbounded [m]."""
         return jnp.full_like(self.offset, jnp.inf)
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
+        """normal . p - offset [m]."""
         return jnp.sum(self.normal * point_body, axis=-1) - self.offset
 
     def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
@@ -102,30 +99,33 @@ class HalfSpace(FieldOfView):
 def half_space(normal: np.ndarray | Sequence[Number], offset: Number) -> HalfSpace:
     """The half-space behind the plane at signed distance `offset` [m] along `normal`, of any length > 0.
 
-    Raises ValueError where the normal is not 2 or 3 finite numbers with one != 0, or the offset not finite.
+    Raises InputError where the normal is not 2 or 3 finite numbers with one != 0, or the offset not finite.
     """
     direction = np.asarray(normal, float)
     ok = direction.shape in {(2,), (3,)} and np.isfinite(direction).all() and direction.any()
-    require(ok, "normal", direction.tolist(), "2 or 3 finite numbers, not all 0")
-    require(math.isfinite(offset), "offset", offset, "a finite number [m]")
+    require(ok, "normal", direction.tolist(), "expected 2 or 3 finite numbers, not all 0")
+    require(math.isfinite(offset), "offset", offset, "expected a finite number [m]")
     return HalfSpace(jnp.asarray(direction / np.linalg.norm(direction), float), jnp.asarray(offset, float))
 
 
 class Ball(FieldOfView):
-    """A disc or ball about `center` [m]; what an omnidirectional sensor of limited range sees."""
+    """A disc or ball of `radius` [m] about `center` [m]: the view of an omnidirectional sensor of limited range."""
 
     center: Point
     radius: Scalar
 
     @property
     def dimension(self) -> int:
+        """2 or 3, as the centre's length."""
         return self.center.shape[-1]
 
     @property
     def depth(self) -> Scalar:
+        """|center| + radius [m]."""
         return length(*self.center) + self.radius
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
+        """|p - center| - radius [m]."""
         return length(*jnp.moveaxis(point_body - self.center, -1, 0)) - self.radius
 
     def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
@@ -137,9 +137,9 @@ class Ball(FieldOfView):
 
 
 def ball(center: np.ndarray | Sequence[Number], radius: Number) -> Ball:
-    """The disc (2 coordinates) or ball (3) of `radius` > 0 [m]; ValueError where a value is out of range."""
+    """Disc (2 coordinates) or ball (3) of `radius` > 0 [m]. Raises InputError where a value is out of range."""
     middle = np.asarray(center, float)
     ok = middle.shape in {(2,), (3,)} and np.isfinite(middle).all()
-    require(ok, "center", middle.tolist(), "2 or 3 finite numbers [m]")
-    require(0 < radius < math.inf, "radius", radius, "a finite number > 0 [m]")
+    require(ok, "center", middle.tolist(), "expected 2 or 3 finite numbers [m]")
+    require(0 < radius < math.inf, "radius", radius, "expected a finite number > 0 [m]")
     return Ball(jnp.asarray(middle, float), jnp.asarray(radius, float))

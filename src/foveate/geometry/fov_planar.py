@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from foveate.geometry.fov import FieldOfView, Number, arc, closed, require
+from foveate.geometry.fov import FieldOfView, Number, arc, closed
 from foveate.geometry.safe import clipped, larger, length
+from foveate.io.validate import require
 from foveate.types import Scalar
 
 
@@ -40,10 +41,12 @@ class ConvexPolygon(FieldOfView):
 
     @property
     def dimension(self) -> int:
+        """2: the plane."""
         return 2
 
     @property
     def depth(self) -> Scalar:
+        """Distance of the farthest vertex from the origin [m]."""
         return jnp.sqrt(jnp.max(jnp.sum(self.vertices**2, axis=-1)))
 
     def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
@@ -68,6 +71,7 @@ class ConvexPolygon(FieldOfView):
         return jnp.where(overshoot == 0, height, jnp.where(inside, -corner, corner))
 
     def outline(self, reach: float = 10.0) -> np.ndarray:
+        """The vertices and the first again, (v + 1, 2) [m]."""
         return closed(np.asarray(self.vertices))
 
 
@@ -84,8 +88,8 @@ def triangle(depth: Number, angle: Number) -> ConvexPolygon:
 
     `angle` [rad] is the full one, in (0, pi). Raises ValueError where either is out of range.
     """
-    require(0 < depth < math.inf, "depth", depth, "a finite number > 0 [m]")
-    require(0 < angle < math.pi, "angle", angle, "in (0, pi) [rad]")
+    require(0 < depth < math.inf, "depth", depth, "expected a finite number > 0 [m]")
+    require(0 < angle < math.pi, "angle", angle, "expected a number in (0, pi) [rad]")
     return ConvexPolygon(triangle_vertices(depth, angle))
 
 
@@ -97,19 +101,19 @@ def polygon(vertices: np.ndarray | Sequence[Sequence[Number]]) -> ConvexPolygon:
     """
     points = np.asarray(vertices, jnp.result_type(float)).astype(float)  # rounded as it will be stored
     ok = points.ndim == 2 and points.shape[0] >= 3 and points.shape[1] == 2
-    require(ok, "vertices", points.shape, "an array of shape (v, 2) with v >= 3")
+    require(ok, "shape of vertices", points.shape, "expected (v, 2) with v >= 3")
     given = points.tolist()
-    require(np.isfinite(points).all(), "vertices", given, "finite numbers [m]")
+    require(np.isfinite(points).all(), "vertices", given, "expected finite numbers [m]")
     edges = np.roll(points, -1, axis=0) - points
-    require(edges.any(axis=-1).all(), "vertices", given, "free of repetitions")
+    require(edges.any(axis=-1).all(), "vertices", given, "expected no vertex repeated")
     centred = points - points.mean(axis=0)
     area = np.sum(centred[:, 0] * edges[:, 1] - centred[:, 1] * edges[:, 0]) / 2
-    require(abs(area) > 1e-9 * np.max(np.ptp(points, axis=0)) ** 2, "vertices", given, "of non-zero area")
+    require(abs(area) > 1e-9 * np.max(np.ptp(points, axis=0)) ** 2, "vertices", given, "expected a non-zero area")
     following = np.roll(edges, -1, axis=0)
     cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
     turns = np.sign(area) * np.arctan2(cross, np.sum(edges * following, axis=-1))
     convex = np.all(turns > -1e-6) and abs(np.sum(turns) - 2 * math.pi) < 1
-    require(convex, "vertices", given, "the corners of a convex polygon, in order around it")
+    require(convex, "vertices", given, "expected the corners of a convex polygon, in order around it")
     return ConvexPolygon(jnp.asarray(points if area > 0 else points[::-1], float))
 
 
@@ -134,7 +138,10 @@ def annular_sector_distance(
 
 
 def annular_sector_outline(near: float, far: float, half_angle: float) -> np.ndarray:
-    """Its closed boundary (M, 2) [m]; a full ring is joined to its hole by a cut, a full disc is a circle."""
+    """Closed boundary (M, 2) [m] of an annular sector.
+
+    A full ring is joined to its hole by a cut; a full disc is a circle.
+    """
     unit = arc(-half_angle, half_angle)
     inner = near * unit[::-1] if near > 0 else np.zeros((int(half_angle < math.pi), 2))
     return closed(np.concatenate([far * unit, inner]))
@@ -149,17 +156,21 @@ class Sector(FieldOfView):
 
     @property
     def dimension(self) -> int:
+        """2: the plane."""
         return 2
 
     @property
     def depth(self) -> Scalar:
+        """`radius` [m]."""
         return self.radius
 
     def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
+        """Distance to the sector, folded onto its axis of symmetry [m]."""
         x, y = point_body[..., 0], jnp.abs(point_body[..., 1])
         return annular_sector_distance(x, y, self.near, self.radius, self.angle / 2)
 
     def outline(self, reach: float = 10.0) -> np.ndarray:
+        """The closed boundary (M, 2) [m]."""
         return annular_sector_outline(float(self.near), float(self.radius), float(self.angle) / 2)
 
 
@@ -168,7 +179,7 @@ def sector(radius: Number, angle: Number, near: Number = 0.0) -> Sector:
 
     At 2 pi it is the full disc or ring. Raises ValueError where a parameter is out of range.
     """
-    require(0 < radius < math.inf, "radius", radius, "a finite number > 0 [m]")
-    require(0 < angle <= 2 * math.pi, "angle", angle, "in (0, 2 pi] [rad]")
-    require(0 <= near < radius, "near", near, f"in [0, radius = {radius}) [m]")
+    require(0 < radius < math.inf, "radius", radius, "expected a finite number > 0 [m]")
+    require(0 < angle <= 2 * math.pi, "angle", angle, "expected a number in (0, 2 pi] [rad]")
+    require(0 <= near < radius, "near", near, f"expected a number in [0, radius = {radius}) [m]")
     return Sector(*(jnp.asarray(value, float) for value in (radius, angle, near)))

@@ -1,4 +1,4 @@
-"""Fields of view of space (range-limited cone, camera frustum, prism), and what several shapes share."""
+"""Fields of view of space (range-limited cone, camera frustum, prism), and intersections of any shapes."""
 
 import math
 from functools import reduce
@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from foveate.geometry.fov import FieldOfView, Number, require
-from foveate.geometry.fov_planar import annular_sector_distance, annular_sector_outline, arc, closed
+from foveate.geometry.fov import FieldOfView, Number, arc, closed
+from foveate.geometry.fov_planar import annular_sector_distance, annular_sector_outline
 from foveate.geometry.safe import larger, length
+from foveate.io.validate import require
 from foveate.types import Scalar
 
 
@@ -23,14 +24,16 @@ class Cone(FieldOfView):
 
     @property
     def dimension(self) -> int:
+        """3: space."""
         return 3
 
     @property
     def depth(self) -> Scalar:
+        """`far` [m]."""
         return self.far
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
-        """That of the annular sector in the half-plane (x, rho) through the point: a solid of revolution."""
+        """Distance [m] to the annular sector in the half-plane (x, rho) through the point: a solid of revolution."""
         rho = length(point_body[..., 1], point_body[..., 2])
         return annular_sector_distance(point_body[..., 0], rho, self.near, self.far, self.angle / 2)
 
@@ -48,14 +51,14 @@ def cone(near: Number, far: Number, angle: Number) -> Cone:
 
     At 2 pi it is the full ball or shell. Raises ValueError where a parameter is out of range.
     """
-    require(0 < far < math.inf, "far", far, "a finite number > 0 [m]")
-    require(0 <= near < far, "near", near, f"in [0, far = {far}) [m]")
-    require(0 < angle <= 2 * math.pi, "angle", angle, "in (0, 2 pi] [rad]")
+    require(0 < far < math.inf, "far", far, "expected a finite number > 0 [m]")
+    require(0 <= near < far, "near", near, f"expected a number in [0, far = {far}) [m]")
+    require(0 < angle <= 2 * math.pi, "angle", angle, "expected a number in (0, 2 pi] [rad]")
     return Cone(*(jnp.asarray(value, float) for value in (near, far, angle)))
 
 
 class Frustum(FieldOfView):
-    """What a camera looking along +x sees between the planes x = near and x = far [m].
+    """View of a camera along +x between the planes x = near and x = far [m].
 
     |y| <= x tan(width_angle / 2) and |z| <= x tan(height_angle / 2), full angles [rad].
     """
@@ -67,10 +70,12 @@ class Frustum(FieldOfView):
 
     @property
     def dimension(self) -> int:
+        """3: space."""
         return 3
 
     @property
     def depth(self) -> Scalar:
+        """Distance of the far corners from the origin [m]."""
         wide, high = jnp.tan(self.width_angle / 2), jnp.tan(self.height_angle / 2)
         return self.far * jnp.sqrt(1 + wide**2 + high**2)
 
@@ -115,10 +120,10 @@ def frustum(near: Number, far: Number, width_angle: Number, height_angle: Number
 
     Raises ValueError where a parameter is out of range.
     """
-    require(0 < far < math.inf, "far", far, "a finite number > 0 [m]")
-    require(0 <= near < far, "near", near, f"in [0, far = {far}) [m]")
-    require(0 < width_angle < math.pi, "width_angle", width_angle, "in (0, pi) [rad]")
-    require(0 < height_angle < math.pi, "height_angle", height_angle, "in (0, pi) [rad]")
+    require(0 < far < math.inf, "far", far, "expected a finite number > 0 [m]")
+    require(0 <= near < far, "near", near, f"expected a number in [0, far = {far}) [m]")
+    require(0 < width_angle < math.pi, "width_angle", width_angle, "expected a number in (0, pi) [rad]")
+    require(0 < height_angle < math.pi, "height_angle", height_angle, "expected a number in (0, pi) [rad]")
     return Frustum(*(jnp.asarray(value, float) for value in (near, far, width_angle, height_angle)))
 
 
@@ -129,13 +134,16 @@ class Prism(FieldOfView):
 
     @property
     def dimension(self) -> int:
+        """3: space."""
         return 3
 
     @property
     def depth(self) -> Scalar:
+        """inf: a prism is unbounded [m]."""
         return jnp.full_like(self.base.depth, jnp.inf)
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
+        """Distance of the point's foot in the plane to the base [m]."""
         return self.base.signed_distance(point_body[..., :2])
 
     def outline(self, reach: float = 10.0) -> list[np.ndarray]:
@@ -146,18 +154,19 @@ class Prism(FieldOfView):
 
 
 def prism(base: FieldOfView) -> Prism:
-    """The prism over a shape of the plane; ValueError for one of space."""
-    require(base.dimension == 2, "dimension of the prism's base", base.dimension, "2")
+    """The prism over a shape of the plane. Raises InputError for a shape of space."""
+    require(base.dimension == 2, "dimension of the prism's base", base.dimension, "expected 2")
     return Prism(base)
 
 
 class Intersection(FieldOfView):
-    """What all of several shapes see."""
+    """Intersection of several shapes of one dimension."""
 
     shapes: tuple[FieldOfView, ...]
 
     @property
     def dimension(self) -> int:
+        """That of all members."""
         return self.shapes[0].dimension
 
     @property
@@ -196,7 +205,9 @@ class Intersection(FieldOfView):
 
 
 def intersection(*shapes: FieldOfView) -> Intersection:
-    """What all `shapes` see; ValueError for none, or for members of different dimensions."""
+    """Intersection of `shapes`. Raises InputError for none, or for shapes of different dimensions."""
     dimensions = [shape.dimension for shape in shapes]
-    require(len(set(dimensions)) == 1, "dimensions of the shapes", dimensions, "equal, of at least one shape")
+    require(
+        len(set(dimensions)) == 1, "dimensions of the shapes", dimensions, "expected equal ones, of at least one shape"
+    )
     return Intersection(shapes)

@@ -1,4 +1,4 @@
-"""Small symmetric positive definite matrices: inverse, log determinant, packing.
+"""Small symmetric positive definite matrices: inverse, log determinant, Cholesky factor, products, packing.
 
 Target states are small (2 to 9 numbers), so one LAPACK call a matrix costs more than the arithmetic. Up to 6 x 6
 the factorisation is written out in elementwise operations, which XLA fuses over targets and episodes (480 matrices
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
@@ -113,7 +114,7 @@ def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Arra
     """
     if a.shape[-1] != b.shape[-2]:
         raise InputError(f"a product of {a.shape} and {b.shape}: expected as many columns as rows")
-    if a.shape[-1] > UNROLLED:
+    if not 0 < a.shape[-1] <= UNROLLED:
         return jnp.matmul(a, b, precision="highest")
     rank, dtype = max(a.ndim, b.ndim), jnp.result_type(a, b)
     a, b = (jnp.expand_dims(x, tuple(range(rank - x.ndim))).astype(dtype) for x in (a, b))
@@ -122,28 +123,22 @@ def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Arra
 
 def _outer_products(a: Array, b: Array) -> Array:
     """a b of equal ranks, whose batch axes are equal or 1."""
-    terms = [a[..., :, k, None] * b[..., None, k, :] for k in range(a.shape[-1])]
-    if terms:
-        return sum(terms[1:], start=terms[0])
-    return jnp.zeros((*jax.lax.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]), a.dtype)
+    first, *others = [a[..., :, k, None] * b[..., None, k, :] for k in range(a.shape[-1])]
+    return sum(others, start=first)
 
 
-# A primitive of its own, so that its derivatives are such products too. Those that JAX would find, by transposing every
-# broadcast into a small reduction and every slice into a pad, cost 15 times the product on the CPU.
+def _product_type(a: ShapedArray, b: ShapedArray) -> ShapedArray:
+    batch = jax.lax.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    return a.update(shape=(*batch, a.shape[-2], b.shape[-1]), weak_type=False)
+
+
+# A primitive, so that the derivatives of a product are such products too. Those that JAX finds itself, by transposing
+# each broadcast into a small reduction and each slice into a pad, cost 15 times the product on the CPU. It can go when
+# `jax.custom_derivatives.linear_call`, which lets a function name its transpose, also has a batching rule and can be
+# differentiated by its residuals (jax 0.10 has neither): then a `custom_jvp` with two such calls does the same.
 _product = Primitive("small_product")
-
-
 _product.def_impl(_outer_products)
-
-
-_product.def_abstract_eval(
-    lambda a, b: a.update(
-        shape=(*jax.lax.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]),
-        weak_type=False,
-    )
-)
-
-
+_product.def_abstract_eval(_product_type)
 mlir.register_lowering(_product, mlir.lower_fun(_outer_products, multiple_results=False))
 
 

@@ -1,7 +1,7 @@
-"""Recorded poses as numpy arrays: where they are, what they carry along, and the way from one to the next.
+"""Pose algebra in numpy, for recorded episodes and for robots: positions, rotations, and the arc between two poses.
 
-Planar poses are [x, y, yaw], those of space 4 x 4 matrices, body to world. In numpy, as jax would compile all of it
-anew for every length of an episode.
+Planar poses are [x, y, yaw], those of space 4 x 4 matrices, body to world. `space` has the same in JAX, which would
+compile again for every length of an episode; `tests/geometry/test_numpy_poses.py` compares the two.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 
 def positions(pose: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... d"]:
-    """Where any number of poses of one kind are [m]."""
+    """Positions of any number of poses of one kind [m]."""
     return pose[..., :2] if _planar(pose) else pose[..., :3, 3]
 
 
@@ -27,7 +27,7 @@ def placed(pose: Float[np.ndarray, "..."], points_body: Float[np.ndarray, "*m d"
 
 
 def arc(pose: Float[np.ndarray, "instants ..."], parts: int) -> Float[np.ndarray, "poses ..."]:
-    """Poses along the way, `parts` a step: the twist that leads from one pose to the next is constant.
+    """Poses along the way, `parts` per step, with a constant twist from one pose to the next.
 
     That is T exp(s log(T^-1 T')) at s = 0, 1/parts, ...: the way the agent took, in space if it turned by at most pi in
     the step. In the plane the yaw counts turns; only a whole turn, which leads nowhere, is taken for none.
@@ -43,7 +43,7 @@ def _planar(pose: np.ndarray) -> bool:
 def _chord_share(
     share: Float[np.ndarray, " s"], angle: Float[np.ndarray, "steps 1"]
 ) -> tuple[Float[np.ndarray, "steps s"], Float[np.ndarray, "steps s"]]:
-    """How much shorter than the chord of a whole step, and turned by what angle, is the chord of a share of it.
+    """Length of the chord of a share of a step, in parts of the whole step's, and the angle between the two [rad].
 
     An arc of angle w has a chord sinc(w / 2) times as long, seen at half the angle.
     """

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
-from foveate.geometry import lie
+from foveate.geometry import lie, lie_planar
 
 
 class Space(eqx.Module):
@@ -99,19 +99,19 @@ class Planar(Space):
 
     def move(self, pose: Float[Array, "3"], displacement: Float[Array, "3"]) -> Float[Array, "3"]:
         """T exp(hat(displacement)), displacement = tau u, in the body frame of T [m, rad]."""
-        return lie.move_se2(pose, displacement)
+        return lie_planar.move_se2(pose, displacement)
 
     def to_body(self, pose: Float[Array, "3"], points_world: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
         """q = R(yaw)^T (zeta - position) of any number of world positions zeta [m]."""
-        return lie.body_point_se2(pose, points_world)
+        return lie_planar.body_point_se2(pose, points_world)
 
     def to_world(self, pose: Float[Array, "3"], points_body: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
         """R(yaw) q + position of any number of body-frame points q [m]."""
-        return lie.act_se2(pose, points_body)
+        return lie_planar.act_se2(pose, points_body)
 
     def rotation(self, pose: Float[Array, "3"]) -> Float[Array, "2 2"]:
         """R(yaw), body to world."""
-        return lie.matrix_se2(pose)[:2, :2]
+        return lie_planar.rotation_se2(pose)
 
     def position(self, pose: Float[Array, "3"]) -> Float[Array, "2"]:
         """[x, y] [m]."""
@@ -119,7 +119,7 @@ class Planar(Space):
 
     def log(self, pose: Float[Array, "3"]) -> Float[Array, "3"]:
         """log(T)^v with the yaw wrapped to (-pi, pi]."""
-        return lie.log_se2(pose)
+        return lie_planar.log_se2(pose)
 
     def from_numbers(self, numbers: object) -> Float[Array, "3"]:
         """The pose of [x, y, yaw] [m, rad]; ValueError where the length is wrong or a number not finite."""

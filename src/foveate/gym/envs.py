@@ -1,4 +1,4 @@
-"""Gymnasium environments (extra `gym`) over the pure simulator of `environment.py`.
+"""Gymnasium environments (extra `gym`) over the pure simulator of `simulation/environment.py`.
 
     import gymnasium
     import foveate.gym
@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -23,12 +24,6 @@ from foveate.errors import InputError
 from foveate.gym.task import Task, TaskSettings, keys_of
 from foveate.scenario.scenario import Scenario
 
-try:
-    import gymnasium
-except ImportError as error:
-    raise ImportError("foveate.gym needs gymnasium: pip install 'foveate[gym]'") from error
-
-
 ID = "foveate/Tracking-v0"
 """Name of the environments in Gymnasium's registry."""
 
@@ -36,9 +31,9 @@ ID = "foveate/Tracking-v0"
 class TrackingEnv(gymnasium.Env):
     """One agent among targets; the options are those of `TaskSettings`.
 
-    An action has one number in [-1, 1] for each actuated axis. `reset(options={"targets": n})` asks for n targets.
-    After a reset without seed the episodes go on as the last seed made them. `info["score"]` is the mean log det per
-    target.
+    An action has one number in [-1, 1] for each actuated axis. `reset(options={"targets": n})` asks for n targets. A
+    reset without a seed continues the sequence of episodes of the last seed. `info["score"]` is the mean log det per
+    target [nat].
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012
@@ -48,7 +43,7 @@ class TrackingEnv(gymnasium.Env):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode = {render_mode!r}: expected None, 'rgb_array' or 'human'")
-        self._task = Task(TaskSettings(scenario, **options), 1, anew=False)
+        self._task = Task(TaskSettings(scenario, **options), 1, autoreset=False)
         self.observation_space, self.action_space = self._task.observation_space, self._task.action_space
         self.render_mode, self._over = render_mode, True
         self._screen = None
@@ -58,7 +53,7 @@ class TrackingEnv(gymnasium.Env):
             self._screen = Screen(self._task.problem, window=render_mode == "human")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A fresh episode: what is seen, and the score of the first beliefs."""
+        """Begin an episode: its first observation, and the score of the first beliefs as info."""
         super().reset(seed=seed)
         batch, targets = self._task.batch, self._task.targets(options or {})
         keys = keys_of([seed], self.np_random) if seed is not None or batch.moments is None else batch.moments.key
@@ -66,22 +61,22 @@ class TrackingEnv(gymnasium.Env):
         self._over = False
         if self._screen:
             self._screen.begin(batch)
-        return self._task.shown(seen, 0), {"score": float(score[0])}
+        return self._task.observation(seen, 0), {"score": float(score[0])}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Move, measure, update. Raises ResetNeeded where no episode is under way."""
+        """Move, measure, update. Raises ResetNeeded where no episode has begun."""
         if self._over:
-            raise ResetNeeded("no episode is under way: call reset() first")
+            raise ResetNeeded("no episode has begun: call reset() first")
         steps = self._task.batch.step(self._task.actions(np.asarray(action)[None]))
         terminated, truncated = (bool(flag[0]) for flag in self._task.ends(steps.done))
         self._over = terminated or truncated
         if self._screen:
             self._screen.add(self._task.batch)
-        seen = self._task.shown(steps.seen, 0)
+        seen = self._task.observation(steps.seen, 0)
         return seen, float(steps.reward[0]), terminated, truncated, {"score": float(steps.score[0])}
 
     def render(self) -> np.ndarray | None:
-        """The episode so far as a picture (height, width, 3); nothing in a window, which shows each step by itself."""
+        """Picture of the episode so far (height, width, 3); None with a window, which shows each step by itself."""
         if self.render_mode != "rgb_array" or self._screen is None:
             return None
         return self._screen.picture()
@@ -95,7 +90,7 @@ class TrackingEnv(gymnasium.Env):
 class TrackingVectorEnv(VectorEnv):
     """`num_envs` environments in one compiled program; the options are those of `TaskSettings`.
 
-    Environment i of `reset(seed=s)` lives through the episodes of a `TrackingEnv` with seed s + i. `autoreset_mode` is
+    Environment i of `reset(seed=s)` has the episodes of a `TrackingEnv` with seed s + i. `autoreset_mode` is
     SAME_STEP (the end of an episode is in `infos["final_obs"]` and `infos["final_info"]`) or DISABLED, where
     `reset(options={"reset_mask": mask})` begins new episodes where the mask holds.
     """
@@ -119,8 +114,8 @@ class TrackingVectorEnv(VectorEnv):
             raise InputError(f"autoreset_mode = {autoreset_mode!r}: expected SAME_STEP or DISABLED")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self._anew = self.autoreset_mode == AutoresetMode.SAME_STEP
-        self._task, self.num_envs = Task(TaskSettings(scenario, **options), num_envs, self._anew), num_envs
+        self._autoreset = self.autoreset_mode == AutoresetMode.SAME_STEP
+        self._task, self.num_envs = Task(TaskSettings(scenario, **options), num_envs, self._autoreset), num_envs
         self.single_observation_space, self.single_action_space = (
             self._task.observation_space,
             self._task.action_space,
@@ -132,7 +127,7 @@ class TrackingVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Fresh episodes everywhere, or where `options["reset_mask"]` holds; without seeds they go on as before."""
+        """Begin episodes everywhere, or where `options["reset_mask"]` holds; without a seed its sequence continues."""
         if isinstance(seed, int | np.integer):
             super().reset(seed=int(seed))
             seeds = [int(seed) + i for i in range(self.num_envs)]
@@ -143,7 +138,7 @@ class TrackingVectorEnv(VectorEnv):
         options, batch = options or {}, self._task.batch
         targets, mask = self._task.targets(options), self._mask(options)
         if batch.moments is None and not mask.all():
-            raise ResetNeeded("options['reset_mask']: no episode is under way yet: reset all first")
+            raise ResetNeeded("options['reset_mask']: no episode has begun yet: reset all first")
         given = np.array([each is not None for each in seeds])
         if batch.moments is None:
             keys = keys_of(seeds, self.np_random)
@@ -152,7 +147,7 @@ class TrackingVectorEnv(VectorEnv):
             keys = jnp.where(given, keys_of(seeds, self.np_random), own) if given.any() else own
         seen, score = batch.renew(keys, mask, targets)
         self._over = self._over & ~mask
-        return self._task.shown(seen), {"score": score, "_score": np.ones(self.num_envs, bool)}
+        return self._task.observation(seen), {"score": score, "_score": np.ones(self.num_envs, bool)}
 
     def _mask(self, options: Mapping[str, Any]) -> np.ndarray:
         mask = options.get("reset_mask")
@@ -164,26 +159,26 @@ class TrackingVectorEnv(VectorEnv):
         return mask
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One step everywhere. Raises ResetNeeded where an episode is over, or has not begun."""
+        """One step of every environment. Raises ResetNeeded where an episode is over, or has not begun."""
         if self._over.any():
-            raise ResetNeeded(f"{self._over.sum()} environments have no episode under way: reset them first")
+            raise ResetNeeded(f"{self._over.sum()} environments have no running episode: reset them first")
         steps = self._task.batch.step(self._task.actions(actions))
         infos: dict[str, Any] = {"score": steps.now, "_score": np.ones(self.num_envs, bool)}
-        if not self._anew:
+        if not self._autoreset:
             self._over = steps.done
         elif steps.done.any():
             infos |= self._finals(steps)
         terminated, truncated = self._task.ends(steps.done)
-        return self._task.shown(steps.seen), steps.reward.astype(np.float64), terminated, truncated, infos
+        return self._task.observation(steps.seen), steps.reward.astype(np.float64), terminated, truncated, infos
 
     def _finals(self, steps: Any) -> dict[str, Any]:
-        """How the episodes ended that are over, as Gymnasium's own vector environments tell it."""
-        last = np.full(self.num_envs, None, object)
+        """Last observations and infos of the episodes that are over, in the form of Gymnasium's vector environments."""
+        final_obs = np.full(self.num_envs, None, object)
         for i in np.flatnonzero(steps.done).tolist():
-            last[i] = self._task.shown(steps.end, i)
+            final_obs[i] = self._task.observation(steps.end, i)
         final = {"score": np.where(steps.done, steps.score, 0.0), "_score": steps.done.copy()}
         return {
-            "final_obs": last,
+            "final_obs": final_obs,
             "_final_obs": steps.done.copy(),
             "final_info": final,
             "_final_info": steps.done.copy(),

@@ -11,8 +11,10 @@ from foveate.simulation.batch import Batch
 
 
 class Screen:
-    """Keeps what happened in the one environment of a batch, and draws it; with `window` on the screen too, which
-    needs a backend of matplotlib that has windows."""
+    """Records and draws the episode of a batch of one environment.
+
+    With `window` it is shown on the screen too, which needs a backend of matplotlib that has windows.
+    """
 
     def __init__(self, problem: Problem, window: bool) -> None:
         self._problem, self._window, self._figure = problem, window, None
@@ -22,7 +24,7 @@ class Screen:
         self._horizon = 0
 
     def begin(self, batch: Batch) -> None:
-        """The first beliefs of an episode."""
+        """Begin with the first beliefs of an episode."""
         assert batch.moments is not None, "called after its begin"
         episode = batch.moments.episode
         self._horizon = int(episode.horizon[0])
@@ -41,7 +43,7 @@ class Screen:
         self._show()
 
     def add(self, batch: Batch) -> None:
-        """What the last step brought."""
+        """Add the last step."""
         assert batch.transition is not None, "called after its step"
         state, visible = batch.transition.state, batch.transition.visible
         self._steps.append(
@@ -56,8 +58,8 @@ class Screen:
         self._show()
 
     def picture(self) -> np.ndarray:
-        """The moment after the last step: uint8, (height, width, 3)."""
-        return picture(self._film(), SUBSTEPS * (len(self._steps) - 1))
+        """Picture after the last step: uint8, (height, width, 3)."""
+        return picture(self._episode_data(), SUBSTEPS * (len(self._steps) - 1))
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -67,8 +69,8 @@ class Screen:
             plt.close(self._figure)
             self._figure = None
 
-    def _film(self) -> EpisodeData:
-        """The whole episode, what has not happened yet as it is now: so that frame and axes stay where they are."""
+    def _episode_data(self) -> EpisodeData:
+        """The whole episode, with the present state at all later steps, so that frame and axes of a picture stay."""
         kept = self._steps + self._steps[-1:] * (self._horizon + 1 - len(self._steps))
         pose, mean, information, present, visible = (np.stack([step[name] for step in kept]) for name in kept[0])
         mean, information, present, visible = (x[:, self._columns] for x in (mean, information, present, visible))

@@ -1,4 +1,4 @@
-"""What both kinds of Gymnasium environment are made of: checked options, simulation, spaces, seeds."""
+"""Parts that both kinds of Gymnasium environment share: checked options, simulation, spaces, seeds."""
 
 import functools
 import math
@@ -25,8 +25,8 @@ from foveate.simulation.environment import Environment
 from foveate.simulation.records import PROTOCOLS, Observation
 from foveate.types import Scalar
 
-LARGEST = np.finfo(np.float32).max
-"""The bound of numbers that have none: infinite ones are what checkers of environments complain of."""
+BOUND = np.finfo(np.float32).max
+"""Bound of observed numbers without one: checkers of environments complain of infinite bounds."""
 
 
 def scenario_of(scenario: Scenario | str | Path) -> Scenario:
@@ -46,14 +46,13 @@ def scenario_of(scenario: Scenario | str | Path) -> Scenario:
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What an environment is made of, and what its agent is told: the options of `gymnasium.make`.
+    """Options of `gymnasium.make`: scenario, protocol and observation of an environment.
 
-    `protocol` says where information comes from (`true`: only from targets really in view); without `noise` an episode
-    is that of the paper's training, which only `surrogate` allows. The reward is the growth of the mean log det per
-    target [nat]. The `horizon` ends an episode as `truncated`, or `terminated` for who is after the score at the
-    horizon itself, so that nothing is worth anything after it. `observation` is a dict of arrays or one flat row of the
-    same numbers: see `policies.inputs`, of which `frame`, `information` and `length_m` (None: the view's depth) are
-    the options.
+    `protocol` is the source of information (`true`: only targets really in view); without `noise` an episode is that of
+    the paper's training, which only `surrogate` allows. The reward is the growth of the mean log det per target [nat].
+    The `horizon` ends an episode as `truncated`, or as `terminated`, after which nothing has value, for learners of the
+    score at the horizon itself. `observation` is a dict of arrays or one flat row of the same numbers: see
+    `policies.inputs`, whose options are `frame`, `information` and `length_m` (None: the depth of the view).
     """
 
     scenario: Scenario | str | Path = "paper"
@@ -82,42 +81,46 @@ class TaskSettings:
 
 
 @functools.lru_cache(maxsize=8)
-def _programs(scenario: Scenario, protocol: str, noise: bool, look: tuple[Frame, float, Scale], count: int) -> Programs:
-    """One compilation for all environments that are alike."""
-    problem, (frame, length_m, information) = scenario.problem(), look
+def _programs(
+    scenario: Scenario, protocol: str, noise: bool, inputs: tuple[Frame, float, Scale], count: int
+) -> Programs:
+    """One compilation for all environments with these options."""
+    problem, (frame, length_m, information) = scenario.problem(), inputs
     environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
 
-    def seen(observation: Observation, left: Scalar) -> Features:
+    def features(observation: Observation, left: Scalar) -> Features:
         return policy_features(observation, left, problem.agent.space, frame, length_m, information)
 
-    return Programs(environment, seen, count)
+    return Programs(environment, features, count)
 
 
 class Task:
-    """The environments that settings mean, side by side, with their spaces."""
+    """A batch of `count` environments and their spaces; with `autoreset` the next episode begins by itself."""
 
-    def __init__(self, settings: TaskSettings, count: int, anew: bool) -> None:
+    def __init__(self, settings: TaskSettings, count: int, autoreset: bool) -> None:
         scenario = scenario_of(settings.scenario)
         if settings.frame == "body" and not scenario.problem().motion.begins_with_position:
             raise InputError("frame = 'body': expected targets whose state begins with the position: take 'world'")
         length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m
-        look = (settings.frame, length_m, settings.information)
-        programs = _programs(scenario, settings.protocol, settings.noise, look, count)
+        inputs = (settings.frame, length_m, settings.information)
+        programs = _programs(scenario, settings.protocol, settings.noise, inputs, count)
         self.settings, self.scenes, self.problem = settings, scenario.scenes, programs.environment.problem
-        self.batch = Batch(programs, anew)
+        self.batch = Batch(programs, autoreset)
         self.observation_space = _space(programs.seen, settings.observation == "flat")
         self.action_space = spaces.Box(-1.0, 1.0, (self.batch.axes,), np.float32)
 
-    def shown(self, seen: Features, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:
-        """What is seen as the settings want it, of all environments or of one."""
+    def observation(self, seen: Features, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:
+        """Observation in the form that the settings ask for, of all environments or of one."""
         if self.settings.observation == "flat":
             parts = [x.reshape(len(x), -1) if index is None else x[index].ravel() for x in seen]
             return np.concatenate(parts, axis=-1)
         return {name: x if index is None else x[index] for name, x in seen._asdict().items()}
 
     def targets(self, options: Mapping[str, Any]) -> np.ndarray:
-        """How many targets each of the next episodes shall have, 0 where that is drawn. Raises ValueError for options
-        that are not known, and numbers that the scenario does not allow."""
+        """Number of targets of each of the next episodes, 0 where it is random.
+
+        Raises InputError for unknown options, and numbers that the scenario does not allow.
+        """
         if unknown := sorted(set(options) - {"targets", "reset_mask"}):
             raise InputError(f"options[{unknown[0]!r}]: expected 'targets', or 'reset_mask' of a vector environment")
         asked = options.get("targets")
@@ -130,7 +133,7 @@ class Task:
         return numbers.astype(np.int32)
 
     def actions(self, actions: Any) -> np.ndarray:
-        """Checked, with an axis of environments."""
+        """Actions (b, m) as a float32 array. Raises InputError for another shape, and numbers that are not finite."""
         array, shape = np.asarray(actions, np.float32), (self.batch.count, self.batch.axes)
         if array.shape != shape:
             raise InputError(f"actions have shape {array.shape}: expected {shape}")
@@ -139,15 +142,16 @@ class Task:
         return array
 
     def ends(self, done: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`terminated` and `truncated`."""
-        never = np.zeros_like(done)
-        return (done, never) if self.settings.horizon == "terminated" else (never, done)
+        """`terminated` and `truncated`, of which the settings choose one for the end at the horizon."""
+        neither = np.zeros_like(done)
+        return (done, neither) if self.settings.horizon == "terminated" else (neither, done)
 
 
-def keys_of(seeds: Sequence[int | None], chance: np.random.Generator) -> Key[jax.Array, " b"]:
-    """A key for each seed, any whole number from 0; where there is none it is drawn."""
-    drawn = chance.integers(2**63, size=len(seeds)).tolist()
-    states = [np.random.SeedSequence(own if seed is None else seed) for seed, own in zip(seeds, drawn, strict=True)]
+def keys_of(seeds: Sequence[int | None], rng: np.random.Generator) -> Key[jax.Array, " b"]:
+    """A key for each seed, any whole number from 0; one from `rng` for None."""
+    own_seeds = rng.integers(2**63, size=len(seeds)).tolist()
+    # SeedSequence spreads seeds of any size, and close ones, over all bits; a key has only 64 of them.
+    states = [np.random.SeedSequence(own if seed is None else seed) for seed, own in zip(seeds, own_seeds, strict=True)]
     words = np.stack([state.generate_state(2, np.uint32) for state in states])
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
@@ -163,4 +167,4 @@ def _space(seen: Features, flat: bool) -> spaces.Space:
 
 
 def _box(shape: tuple[int, ...]) -> spaces.Box:
-    return spaces.Box(-LARGEST, LARGEST, shape, np.float32)
+    return spaces.Box(-BOUND, BOUND, shape, np.float32)

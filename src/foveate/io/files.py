@@ -21,7 +21,7 @@ except ImportError:  # Windows
 
 
 LOCK = ".lock"
-"""In a folder that one process alone may write to."""
+"""Lock file in a folder that only one process may write to."""
 
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
@@ -31,19 +31,19 @@ _TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.tmp")
 
 
 def cache_folder(name: str) -> Path:
-    """Where things that can be made again are kept for this user: foveate/`name` in the cache folder of the system."""
+    """Folder foveate/`name` in this user's cache, for things that can be made again."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "foveate" / name
 
 
-def file_error(path: str | Path, problem: str) -> ValueError:
-    """The error about a file or a place in it, as one line that starts with its name."""
+def file_error(path: str | Path, problem: str) -> InputError:
+    """Error about a file or a place in it, as one line that starts with its name."""
     return InputError(" ".join(f"{path}: {problem}".splitlines()))
 
 
 def write_atomic(path: str | Path, data: bytes) -> None:
     """Write `data` so that a crash leaves the old file or the new one, never a part.
 
-    Raises ValueError where `path` is a folder or its folder is missing, OSError naming `path` where the system rejects.
+    Raises InputError where `path` is a folder or its folder is missing, OSError naming `path` where the system rejects.
     """
     target = Path(os.path.realpath(path))  # a link keeps pointing where it did
     if os.path.isdir(path):
@@ -87,10 +87,10 @@ def append_line(path: Path, line: str) -> None:
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Keep every other process that asks for it out of a folder, until the end of this one at the latest.
+    """Lock a folder against every other process that asks for it, until the end of this one at the latest.
 
-    What writes that were killed have left there is removed. Where the file system knows no locks there is none. Raises
-    ValueError where another process has the folder.
+    Temporary files that killed writes have left there are removed. On a file system without locks there is none. Raises
+    InputError where another process has the folder.
     """
     with (folder / LOCK).open("ab") as file:
         if fcntl is not None:
@@ -110,7 +110,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether it is what a killed `write_atomic` left."""
+    """True for a file that a killed `write_atomic` left."""
     return _TEMPORARY.fullmatch(path.name) is not None
 
 
@@ -124,13 +124,13 @@ def write_json(path: str | Path, obj: Any) -> None:
 
 
 def content_digest(content: Any) -> str:
-    """The SHA-256, in hex, of what JSON can say; the same however it is written. Raises ValueError on NaN, infinity."""
+    """SHA-256, in hex, of JSON content, whatever its order and spacing. Raises ValueError on NaN and infinity."""
     text = json.dumps(content, allow_nan=False, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_document(path: str | Path, kind: str, version: int, content: dict[str, Any]) -> None:
-    """Write JSON that says what it is: "format", "version", and a "digest" by which a later change of it is noticed.
+    """Write JSON with its "format", "version", and a "digest" by which a later change is noticed.
 
     Raises ValueError on NaN and infinity.
     """
@@ -143,9 +143,9 @@ def write_document(path: str | Path, kind: str, version: int, content: dict[str,
 
 
 def read_document(path: str | Path, kind: str, newest: int, what: str) -> dict[str, Any]:
-    """What is in a JSON file of format "foveate-`kind`" and version 1 to `newest`, without these and the digest.
+    """Content of a JSON file of format "foveate-`kind`" and version 1 to `newest`, without these keys and the digest.
 
-    Others may write such files without a digest; one that is there must fit. Raises ValueError in one line.
+    Others may write such files without a digest; one that is there must fit. Raises InputError in one line.
     """
     document = read_json(path, what)
     if not isinstance(document, dict):
@@ -164,10 +164,10 @@ def read_document(path: str | Path, kind: str, newest: int, what: str) -> dict[s
 
 
 def check_format(path: str | Path, header: dict[str, Any], kind: str, newest: int) -> None:
-    """Raise ValueError unless a header says format "foveate-`kind`" and version 1 to `newest`."""
-    found, version = header.get("format"), header.get("version")
-    if found != f"foveate-{kind}":
-        raise file_error(path, f"has the format {found!r}; wanted 'foveate-{kind}'")
+    """Raise InputError unless a header says format "foveate-`kind`" and version 1 to `newest`."""
+    name, version = header.get("format"), header.get("version")
+    if name != f"foveate-{kind}":
+        raise file_error(path, f"has the format {name!r}; wanted 'foveate-{kind}'")
     if type(version) is not int or version < 1:
         raise file_error(path, f"has the version {version!r}; wanted a whole number from 1 to {newest}")
     if version > newest:
@@ -175,7 +175,7 @@ def check_format(path: str | Path, header: dict[str, Any], kind: str, newest: in
 
 
 def read_bytes(path: str | Path, what: str) -> bytes:
-    """The content of a file. Raises ValueError, saying that a `what` was wanted, where it cannot be read."""
+    """Content of a file. Raises InputError, which asks for a `what`, where it cannot be read."""
     try:
         return Path(path).read_bytes()
     except FileNotFoundError as error:
@@ -188,7 +188,7 @@ def read_bytes(path: str | Path, what: str) -> bytes:
 
 
 def read_text(path: str | Path, what: str) -> str:
-    """The text of a UTF-8 file, with or without byte-order mark. Raises ValueError where it has none."""
+    """The text of a UTF-8 file, with or without byte-order mark. Raises InputError where it has none."""
     try:
         return read_bytes(path, what).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -196,7 +196,7 @@ def read_text(path: str | Path, what: str) -> str:
 
 
 def read_json(path: str | Path, what: str) -> Any:
-    """The content of a JSON file. Raises ValueError where it is missing, cut short or not strict JSON."""
+    """The content of a JSON file. Raises InputError where it is missing, cut short or not strict JSON."""
     text = read_text(path, what)
     try:
         return json.loads(text, parse_constant=_reject_constant, parse_float=_finite)
@@ -215,7 +215,7 @@ def _reject_constant(name: str) -> NoReturn:
 
 
 def _finite(digits: str) -> float:
-    """The number that `digits` say. Raises ValueError where it is too large for a float."""
+    """Number from its digits. Raises InputError where it is too large for a float."""
     number = float(digits)
     if not math.isfinite(number):
         raise InputError(f"the number {digits:.40} is too large; give one below 1.8e308")

@@ -1,4 +1,4 @@
-"""Named arrays with a checked header in one file: an `.npz` that holds no code and shows every damage."""
+"""Named arrays with a header in one `.npz` file, without pickled code, checked against damage."""
 
 import hashlib
 import io
@@ -21,7 +21,7 @@ _DIGEST = "digest"
 def save_arrays(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, Any]) -> None:
     """Write arrays and header, whole or not at all; the same content gives the same bytes.
 
-    The header is any JSON with "format": "foveate-<kind>" and "version": a whole number of 1 or more. Raises
+    The header is any JSON object with "format": "foveate-<kind>" and "version": a whole number of 1 or more. Raises
     ValueError where it is not, where an array would not come back as it is (objects, records, bfloat16) and
     where a name is taken ("header" in `arrays`, "digest" in `header`).
     """

@@ -1,19 +1,15 @@
-"""How far long work is: a bar on a terminal, now and then a line in a notebook, nothing elsewhere."""
+"""Progress of long work: a bar on a terminal, lines in a notebook, nothing elsewhere."""
 
 import sys
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
 
 
 class Bar:
     """A progress bar with rate and time left on a terminal, a line at each tenth in a notebook, nothing elsewhere.
 
-    `quiet`: nothing anywhere, but for what is said.
+    `quiet`: nothing anywhere, except for the lines of `say`.
     """
 
-    def __init__(self, what: str, total: int, unit: str, quiet: bool = False) -> None:
+    def __init__(self, description: str, total: int, unit: str, quiet: bool = False) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -27,10 +23,10 @@ class Bar:
         )
         terminal = sys.stderr.isatty()
         self._progress = Progress(*columns, console=Console(stderr=True), disable=quiet or not terminal)
-        self._task = self._progress.add_task(what, total=total, note="")
-        self._what, self._total, self._unit = what, total, unit
+        self._task = self._progress.add_task(description, total=total, note="")
+        self._description, self._total, self._unit = description, total, unit
         self._lines = not quiet and not terminal and Console().is_jupyter
-        self._told = 0
+        self._reported = 0
 
     def __enter__(self) -> "Bar":
         self._progress.start()
@@ -43,9 +39,9 @@ class Bar:
         """Set how much is done, and a note beside it."""
         self._progress.update(self._task, completed=done, note=note)
         tenth = 10 * done // max(1, self._total)
-        if self._lines and tenth > self._told:
-            self._told = tenth
-            print(f"{self._what}: {done} of {self._total} {self._unit}  {note}", flush=True)
+        if self._lines and tenth > self._reported:
+            self._reported = tenth
+            print(f"{self._description}: {done} of {self._total} {self._unit}  {note}", flush=True)
 
     def say(self, line: str) -> None:
         """Print a line above the bar; on standard error, also where there is no terminal."""

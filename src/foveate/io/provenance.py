@@ -1,4 +1,4 @@
-"""What a result was made with: it stands in every file of results."""
+"""Provenance of a result, which is part of every file of results."""
 
 import jax
 

@@ -7,17 +7,18 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from foveate.errors import InputError
 from foveate.io.files import file_error
 
 T = TypeVar("T")
 
 
-_WANTED = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text in quotes"}
+_DESCRIPTIONS = {int: "a whole number", float: "a finite number", bool: "true or false", str: "a text in quotes"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class _At:
-    """Where in which source we are, for the error messages."""
+    """Place in a source, for error messages."""
 
     source: str
     path: str = ""
@@ -28,39 +29,44 @@ class _At:
     def item(self, index: int) -> "_At":
         return replace(self, path=f"{self.path}[{index}]")
 
-    def error(self, problem: str) -> ValueError:
+    def error(self, problem: str) -> InputError:
         return file_error(self.source, f"{self.path}: {problem}" if self.path else problem)
 
-    def wrong(self, value: Any, problem: str) -> ValueError:
+    def wrong(self, value: Any, problem: str) -> InputError:
         place = f"{self.path} = " if self.path else ""
         return file_error(self.source, f"{place}{_shown(value)}: {problem}")
 
 
 def from_table(cls: type[T], table: dict[str, Any], where: str) -> T:
-    """The dataclass `cls` that `table` describes; keys left out take the defaults of their own class.
+    """Instance of the dataclass `cls` from a table; keys left out take the defaults of their own class.
 
-    Raises ValueError of one line that names the source `where`, the dotted path of the key, its value and
-    what would be right: for unknown, mistyped and missing keys, numbers that are not finite, and whatever
-    `__post_init__` rejects.
+    Args:
+        cls: A frozen, keyword-only dataclass.
+        table: As TOML or JSON give it. Keys that the ClassVar `RENAMED` of a dataclass lists may have their old name.
+        where: The source, for messages.
+
+    Raises:
+        InputError: In one line that names the source, the dotted path of the key, its value and what would be right:
+            for unknown, mistyped and missing keys, numbers that are not finite, and whatever `__post_init__` rejects.
     """
     return _record(cls, table, _At(source=where))
 
 
 def to_table(instance: Any) -> dict[str, Any]:
-    """The table that `from_table` reads back as `instance`; fields that are None are left out.
+    """Table that `from_table` reads back as `instance`; fields that are None are left out.
 
-    Raises ValueError where no table can say it: a number that is not finite, None where that is no default.
+    Raises InputError where no table can hold it: a number that is not finite, None where that is no default.
     """
     cls, at = type(instance), _At(source=type(instance).__name__)
     # Read back once: whole numbers in float fields become floats, so that equal instances give equal tables.
-    again = _record(cls, _plain(instance, at), at)
-    if again != instance:
+    read_back = _record(cls, _plain(instance, at), at)
+    if read_back != instance:
         raise at.error("would read back otherwise; None can be written only where it is the default")
-    return _plain(again, at)
+    return _plain(read_back, at)
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """What may have been meant by a name that is not known, or what is known."""
+    """Hint for an unknown name: the closest known one, or the first of all."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
@@ -70,7 +76,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
     """An instance of the dataclass `cls` from its table."""
     if not isinstance(table, dict):
         raise at.wrong(table, "wanted a table")
-    table = _with_new_names(cls, table, at)
+    table = _with_current_names(cls, table, at)
     hints = get_type_hints(cls)
     known = {field.name: field for field in fields(cls) if field.init}
     for key in table:
@@ -81,7 +87,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
         if name in table or _has_default(field):
             continue
         if NoneType not in get_args(hints[name]):
-            raise at.key(name).error(f"is missing; wanted {_wanted(hints[name])}")
+            raise at.key(name).error(f"is missing; wanted {_description(hints[name])}")
         values[name] = None
     try:
         return cls(**values)
@@ -89,8 +95,8 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
         raise at.error(str(error)) from error
 
 
-def _with_new_names(cls: Any, table: dict[str, Any], at: _At) -> dict[str, Any]:
-    """The table with keys of earlier versions, which the ClassVar `RENAMED` of a dataclass lists, as they are now."""
+def _with_current_names(cls: Any, table: dict[str, Any], at: _At) -> dict[str, Any]:
+    """Table with old keys, those that the ClassVar `RENAMED` of a dataclass lists, under their current names."""
     renamed = getattr(cls, "RENAMED", {})
     for old in table.keys() & renamed.keys():
         if renamed[old] in table:
@@ -111,10 +117,10 @@ def _value(hint: Any, value: Any, at: _At) -> Any:
         return _tuple(hint, value, at)
     if hint is float:
         return _float(value, at)
-    if hint not in _WANTED:
+    if hint not in _DESCRIPTIONS:
         raise TypeError(f"{at.path}: a configuration cannot hold {hint}")
     if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-        raise at.wrong(value, f"wanted {_WANTED[hint]}")
+        raise at.wrong(value, f"wanted {_DESCRIPTIONS[hint]}")
     return value
 
 
@@ -126,7 +132,7 @@ def _float(value: Any, at: _At) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise at.wrong(value, f"wanted {_WANTED[float]}")
+        raise at.wrong(value, f"wanted {_DESCRIPTIONS[float]}")
     return number
 
 
@@ -134,11 +140,11 @@ def _tuple(hint: Any, value: Any, at: _At) -> tuple[Any, ...]:
     """A tuple from a list, of any length for `tuple[X, ...]`."""
     parts = get_args(hint)
     if not isinstance(value, list | tuple):
-        raise at.wrong(value, f"wanted {_wanted(hint)}")
+        raise at.wrong(value, f"wanted {_description(hint)}")
     if len(parts) == 2 and parts[1] is Ellipsis:
         parts = (parts[0],) * len(value)
     if len(value) != len(parts):
-        raise at.wrong(value, f"wanted {_wanted(hint)}, not {len(value)}")
+        raise at.wrong(value, f"wanted {_description(hint)}, not {len(value)}")
     return tuple(_value(part, value[i], at.item(i)) for i, part in enumerate(parts))
 
 
@@ -161,34 +167,35 @@ def _member(hint: Any, value: Any, at: _At) -> Any:
     if not isinstance(value, dict):
         raise at.wrong(value, "wanted a table")
     if tag not in value:
-        usual = [member for member in members if _is_usual(member, tag)]
-        if len(usual) == 1:
-            return _record(usual[0], value, at)
+        defaults = [member for member in members if _is_default(member, tag)]
+        if len(defaults) == 1:
+            return _record(defaults[0], value, at)
         raise at.key(tag).error(f"is missing; wanted {_one_of(selected)}")
     options = tuple(option for option in selected if option is not None)
     return _record(selected[_choice(options, value[tag], at.key(tag))], value, at)
 
 
 def _tag(members: list[Any]) -> tuple[str, dict[Any, Any]]:
-    """The Literal field that tells dataclasses apart, and which value selects which. TypeError if none.
+    """The Literal field that tells dataclasses apart, and the member that each of its values selects.
 
-    None selects the one that lacks the field: so a second kind can join one whose tables were written without a tag.
+    None selects the member that lacks the field: so a second kind can join one whose tables were written without a tag.
+    Raises TypeError where no field does.
     """
     hints = [get_type_hints(member) for member in members] if all(map(is_dataclass, members)) else []
     for name in dict.fromkeys(name for hint in hints for name in hint):
-        found = [hint.get(name) for hint in hints]
-        if None in found and any(field.name == name and _has_default(field) for m in members for field in fields(m)):
+        types = [hint.get(name) for hint in hints]
+        if None in types and any(field.name == name and _has_default(field) for m in members for field in fields(m)):
             continue
-        literals = [get_args(each) if get_origin(each) is Literal else (each,) for each in found]
+        literals = [get_args(each) if get_origin(each) is Literal else (each,) for each in types]
         selected = {tag: member for tags, member in zip(literals, members, strict=True) for tag in tags}
-        told = all(each is None or get_origin(each) is Literal for each in found)
-        if told and len(selected) == sum(map(len, literals)):
+        are_literals = all(each is None or get_origin(each) is Literal for each in types)
+        if are_literals and len(selected) == sum(map(len, literals)):
             return name, selected
     raise TypeError(f"no Literal field tells {', '.join(map(str, members))} apart")
 
 
-def _is_usual(member: Any, tag: str) -> bool:
-    """Whether a table without the tag may mean this member: it lacks the field, or has a default for it."""
+def _is_default(member: Any, tag: str) -> bool:
+    """True where a table without the tag may mean this member: it lacks the field, or has a default for it."""
     return all(field.name != tag or _has_default(field) for field in fields(member))
 
 
@@ -208,16 +215,16 @@ def _plain(value: Any, at: _At) -> Any:
     return value
 
 
-def _wanted(hint: Any) -> str:
-    """What a field of type `hint` takes, in words."""
+def _description(hint: Any) -> str:
+    """Values of a field of type `hint`, in words."""
     parts = [part for part in get_args(hint) if part not in (NoneType, Ellipsis)]
     if get_origin(hint) is Literal:
         return _one_of(parts)
-    words = " or ".join(dict.fromkeys(map(_wanted, parts)))
+    words = " or ".join(dict.fromkeys(map(_description, parts)))
     if get_origin(hint) is tuple:
         count = "" if Ellipsis in get_args(hint) else f"{len(parts)} "
         return f"a list of {count}values, each {words}"
-    return words or _WANTED.get(hint, "a table")
+    return words or _DESCRIPTIONS.get(hint, "a table")
 
 
 def _one_of(options: Iterable[Any]) -> str:
@@ -229,7 +236,7 @@ def _shown(value: Any) -> str:
     """`value` as Python writes it, cut to a length that fits in a line."""
     try:
         text = repr(value)
-    except ValueError:  # Python rejects to print whole numbers of more than 4300 digits
+    except ValueError:  # Python refuses to print whole numbers of more than 4300 digits
         return "a number of thousands of digits"
     except RecursionError:
         return "a table in a table, hundreds deep"

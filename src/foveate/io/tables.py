@@ -1,4 +1,4 @@
-"""Tables of text: on a terminal, in a notebook, and on the Markdown page that holds them."""
+"""Tables of text: on a terminal, in a notebook, on a Markdown page."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-WIDE = 200
-"""Columns of what is not a terminal."""
+TABLE_WIDTH = 200
+"""Columns where the output is not a terminal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Text in rows; the first two columns are words, the others numbers."""
+    """Rows of text; the first two columns are words, the others numbers."""
 
     title: str
     note: str = ""
@@ -25,7 +25,7 @@ class Table:
 
 
 def draw(table: Table, console: "Console") -> None:
-    """The table without its note, in lines."""
+    """Print the table, without its note, on a console."""
     from rich.markup import escape
     from rich.table import Table as Lines
 
@@ -38,11 +38,11 @@ def draw(table: Table, console: "Console") -> None:
 
 
 def text(table: Table) -> str:
-    """What `draw` draws, without colours."""
+    """Text of the table as `draw` prints it, without colours."""
     from rich.console import Console
 
     file = io.StringIO()
-    draw(table, Console(file=file, width=WIDE, no_color=True, force_jupyter=False))
+    draw(table, Console(file=file, width=TABLE_WIDTH, no_color=True, force_jupyter=False))
     return "\n".join(line.rstrip() for line in file.getvalue().rstrip().splitlines())
 
 
@@ -56,13 +56,13 @@ def html(table: Table) -> str:
     return f"<table><caption>{escape(table.title)}</caption>{''.join(lines)}</table>"
 
 
-def markdown(title: str, facts: Mapping[str, str], found: Sequence[Table], figures: Mapping[str, str]) -> str:
-    """The page of a comparison: what it was made with, its figures (file: what it shows), its tables."""
+def markdown(title: str, facts: Mapping[str, str], tables: Sequence[Table], figures: Mapping[str, str]) -> str:
+    """Markdown page of a comparison: provenance facts, figures (caption by file), tables."""
     lines = [f"# {title}", ""]
     lines += [f"- {name}: {value}" for name, value in facts.items()] + [""]
-    for file, what in figures.items():
-        lines += [f"![{what}]({file})", ""]
-    for table in found:
+    for file, caption in figures.items():
+        lines += [f"![{caption}]({file})", ""]
+    for table in tables:
         lines += [f"## {table.title}", "", table.note, "", _line(table.header)]
         lines.append("|---|---|" + "---:|" * (len(table.header) - 2))
         lines += [*map(_line, table.rows), ""]

@@ -3,7 +3,7 @@
 A field may be a bool, int, float, str, Literal, another dataclass, a tuple of any of these (`tuple[X, ...]`
 or `tuple[X, Y]`), any of them `| None`, or a union of dataclasses `A | B` that are told apart by a Literal
 field of the same name in each; one of them may lack it or have a default, and is meant where a table has none.
-TypeError marks a dataclass that asks for more, ValueError wrong input.
+TypeError marks a dataclass with other fields, InputError wrong input.
 """
 
 import hashlib
@@ -18,30 +18,30 @@ from foveate.io.files import check_format, file_error, read_text, write_atomic
 from foveate.io.records import T, from_table, to_table
 
 VERSION = 1
-"""Of the files that `save_toml` writes."""
+"""Version of the files that `save_toml` writes."""
 
 
-DEEPEST = 20
-"""Parts of a dotted key that are read; there are three at most in any of ours."""
+MAX_KEY_PARTS = 20
+"""Largest number of parts of a dotted key that is read; ours have three at most."""
 
 
 _PIECES, _QUOTED = re.compile(r"[=,{}\[\]#\n]"), re.compile(r"[\"'][ \t]*\.|\.[ \t]*[\"']")
 
 
 def load_toml(cls: type[T], path: str | Path) -> T:
-    """The dataclass `cls` that a TOML file describes. Raises ValueError of one line, naming file and key."""
+    """Instance of the dataclass `cls` from a TOML file. Raises InputError of one line, naming file and key."""
     return read_toml(cls, path)[0]
 
 
 def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
-    """The dataclass `cls` that a TOML file describes, and the digest of it as it was when it was written.
+    """Instance of the dataclass `cls` from a TOML file, and the digest of the file's content.
 
-    That stays what it is when `cls` gets further fields. Raises ValueError of one line, naming file and key: also where
-    `save_toml` wrote the file and it is no longer what was written.
+    The digest stays the same when `cls` gets further fields. Raises InputError of one line, naming file and key: also
+    where `save_toml` wrote the file and its content has changed since.
     """
     text = read_text(path, "configuration file (TOML)")
     if _has_long_key(text):
-        raise file_error(path, f"has a key of more than {DEEPEST} parts; give one as foveate writes it")
+        raise file_error(path, f"has a key of more than {MAX_KEY_PARTS} parts; give one as foveate writes it")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # besides TOMLDecodeError: numbers of thousands of digits
@@ -59,17 +59,26 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
 
 
 def _has_long_key(text: str) -> bool:
-    """Python's parser takes the square of a key's length: one of half a million parts would take it days."""
+    """True for text that Python's parser would take too long for: its time grows with the square of a key's parts.
+
+    A key of half a million parts would take days.
+    """
     lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
-    return len(_QUOTED.findall(lines)) > 10 * DEEPEST or any(part.count(".") > DEEPEST for part in _PIECES.split(lines))
+    return len(_QUOTED.findall(lines)) > 10 * MAX_KEY_PARTS or any(
+        part.count(".") > MAX_KEY_PARTS for part in _PIECES.split(lines)
+    )
 
 
 def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
-    """Write TOML that says what it is, after `header` as a comment; it can be read by `load_toml` of later versions.
+    """Write `instance` as TOML with its format and version, for `load_toml` of this and later versions.
 
-    `sealed`, it holds its digest, and shows every change; what people are to edit does not. The digest comes first:
-    whatever the file loses, it is there to tell.
+    Args:
+        instance: A dataclass.
+        path: The file.
+        header: Text of a comment at the top.
+        sealed: Add a digest, by which `load_toml` notices every change; not for files that people are to edit.
     """
+    # The digest comes first, so that a file that was cut short still has it.
     seal, hint = [f'digest = "{digest(instance)}"'], ["After a change by hand delete the line that begins with: digest"]
     comment = "\n".join([header, *hint * sealed]).strip()
     known = [f'format = "foveate-{type(instance).__name__.lower()}"', f"version = {VERSION}"]
@@ -78,7 +87,7 @@ def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = 
 
 
 def dumps_toml(instance: Any, header: str = "") -> str:
-    """The TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
+    """TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
     return "\n".join([*_comment(header), *_toml_lines(to_table(instance), "")]) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Checks that settings share: each raises a ValueError of one line that names the field, its value and the right."""
+"""Checks of values from users: each raises an InputError of one line, "name = value: expected ..."."""
 
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -7,40 +7,41 @@ import numpy as np
 
 from foveate.errors import InputError
 
-LEAST, MOST = 1e-18, 1e12
+SMALLEST, LARGEST = 1e-18, 1e12
+"""Sizes of numbers whose squares float32 still represents."""
 
 
 Matrix = tuple[tuple[float, ...], ...]
 
 
-def require(condition: bool, name: str, value: object, right: str) -> None:
-    """Raise ValueError unless the condition holds."""
+def require(condition: bool | np.bool, name: str, value: object, right: str) -> None:
+    """Raise InputError "name = value: right" unless the condition holds."""
     if not condition:
         raise InputError(f"{name} = {value!r}: {right}")
 
 
 def positive(settings: object, *names: str) -> None:
-    """Raise ValueError unless each of these fields is > 0."""
+    """Raise InputError unless each of these fields is > 0."""
     for name in names:
         require(getattr(settings, name) > 0, name, getattr(settings, name), "expected > 0")
 
 
 def not_negative(settings: object, *names: str) -> None:
-    """Raise ValueError unless each of these fields is >= 0."""
+    """Raise InputError unless each of these fields is >= 0."""
     for name in names:
         require(getattr(settings, name) >= 0, name, getattr(settings, name), "expected >= 0")
 
 
 def seed_number(seed: int, name: str) -> None:
-    """Raise ValueError for a seed that is no seed."""
+    """Raise InputError unless the seed is in 0 .. 2^32 - 1."""
     if not 0 <= seed < 2**32:
         raise InputError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
-def representable(settings: Any, path: str = "", least: float = LEAST) -> None:
-    """Raise ValueError unless float32 knows all numbers in it, and squares: 0, or from 1e-18 to 1e12 in size.
+def representable(settings: Any, path: str = "", least: float = SMALLEST) -> None:
+    """Raise InputError unless float32 can represent all numbers in settings, and their squares.
 
-    An element of a matrix may be smaller than that: beside the others it is 0.
+    Numbers are 0, or from 1e-18 to 1e12 in size. An element of a matrix may be smaller: beside the others it is 0.
     """
     if is_dataclass(settings):
         for field in fields(settings):
@@ -49,39 +50,39 @@ def representable(settings: Any, path: str = "", least: float = LEAST) -> None:
         for i, item in enumerate(settings):
             representable(item, f"{path}[{i}]", 0.0)
     elif isinstance(settings, int | float):
-        fits = bool(settings == 0 or least <= abs(settings) <= MOST)
-        require(fits, path, settings, f"expected 0 or a size from {LEAST:g} to {MOST:g}")
+        fits = settings == 0 or least <= abs(settings) <= LARGEST
+        require(fits, path, settings, f"expected 0 or a size from {SMALLEST:g} to {LARGEST:g}")
 
 
 def matrix(value: Matrix, name: str, shape: tuple[int | None, int | None]) -> np.ndarray:
-    """The matrix that rows of numbers make; None in `shape` is any size."""
+    """Matrix from rows of numbers; None in `shape` stands for any size. Raises InputError where it does not fit."""
     rows = {len(row) for row in value}
     require(len(rows) == 1 and 0 not in rows, name, value, "expected a matrix with rows of one length")
-    found = np.array(value, float)
-    require(bool(np.isfinite(found).all()), name, value, "expected finite numbers")
-    fits = all(want is None or have == want for have, want in zip(found.shape, shape, strict=True))
+    array = np.array(value, float)
+    require(np.isfinite(array).all(), name, value, "expected finite numbers")
+    fits = all(want is None or have == want for have, want in zip(array.shape, shape, strict=True))
     wanted = " x ".join("any" if size is None else str(size) for size in shape)
-    require(fits, name, value, f"expected shape {wanted}, got {found.shape[0]} x {found.shape[1]}")
-    return found
+    require(fits, name, value, f"expected shape {wanted}, got {array.shape[0]} x {array.shape[1]}")
+    return array
 
 
 def covariance(value: Matrix, name: str, size: int, definite: bool) -> np.ndarray:
-    """A symmetric matrix without negative eigenvalues, or `definite`: with positive ones only."""
-    found = matrix(value, name, (size, size))
-    scale = np.abs(found).max()
-    require(bool(np.abs(found - found.T).max() <= 1e-9 * scale), name, value, "a covariance is symmetric")
-    smallest = np.linalg.eigvalsh(found).min()
+    """Covariance matrix from rows of numbers: symmetric, semidefinite, or positive `definite`. Raises InputError."""
+    array = matrix(value, name, (size, size))
+    scale = np.abs(array).max()
+    require(np.abs(array - array.T).max() <= 1e-9 * scale, name, value, "a covariance is symmetric")
+    smallest = np.linalg.eigvalsh(array).min()
     if definite:
-        require(_is_definite(found), name, value, "expected positive definite (all eigenvalues > 0), also in float32")
+        require(_is_definite(array), name, value, "expected positive definite (all eigenvalues > 0), also in float32")
     else:
-        require(bool(smallest >= -1e-12 * scale), name, value, "a covariance has no negative eigenvalue")
-    return found
+        require(smallest >= -1e-12 * scale, name, value, "a covariance has no negative eigenvalue")
+    return array
 
 
-def _is_definite(found: np.ndarray) -> bool:
-    """Whether the correlations are definite as float32 holds them; what scales the axes have costs no digits."""
-    variances = np.diag(found)
+def _is_definite(array: np.ndarray) -> bool:
+    """Test that float32 holds the correlations as definite; different scales of the axes cost no digits."""
+    variances = np.diag(array)
     if variances.min() <= 0:
         return False
-    correlations = (found / np.sqrt(np.outer(variances, variances))).astype(np.float32).astype(float)
+    correlations = (array / np.sqrt(np.outer(variances, variances))).astype(np.float32).astype(float)
     return bool(np.linalg.eigvalsh(correlations).min() > 1e-6)

@@ -1,4 +1,4 @@
-"""The agent's body: which axes of its twist it can command, and how far."""
+"""The agent's body: actuated axes of its twist, and their limits."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -1,6 +1,6 @@
-"""Measurements that a belief cannot believe: rejected by a chi-square gate, until there are many in a row.
+"""Chi-square gate: rejects measurements that contradict a belief, until there are several in a row.
 
-The squared Mahalanobis distance of an honest measurement to its prediction is chi-square with as many degrees of
+The squared Mahalanobis distance of a correct measurement to its prediction is chi-square with as many degrees of
 freedom as it has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
 """
 
@@ -13,17 +13,17 @@ from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.belief import Belief
 
 GATE = 0.9999
-"""Refuses one honest measurement in ten thousand."""
+"""Rejects one correct measurement in ten thousand."""
 
 
 RESTART_AFTER = 5
-"""The last of so many rejections in a row is taken, and the belief begins anew with it: the target has really jumped."""
+"""After this many rejections in a row the target has really jumped: the belief restarts from the last measurement."""
 
 
 def gate_limit(probability: float | None, size: int) -> float | None:
-    """The largest squared distance that passes, for measurements of `size` numbers; None where all pass.
+    """Largest squared distance that passes, for measurements of `size` numbers; None where all pass.
 
-    Raises ValueError for what is no probability.
+    Raises InputError unless `probability` is between 0 and 1, or None.
     """
     if probability is None:
         return None
@@ -48,7 +48,7 @@ def one_point(
     H: Float[Array, "n_z n_y"],
     V: Float[Array, "n_z n_z"],
 ) -> Belief:
-    """A belief from one measurement: N(z, V) in what it says, in the rest the first belief, about 0.
+    """Belief from one measurement: N(z, V) in what it measures, in the rest the first belief, about 0.
 
     Mean H^+ z, covariance H^+ V H^+T + N Y_0^-1 N^T with N = I - H^+ H.
     """

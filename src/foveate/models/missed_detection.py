@@ -1,4 +1,4 @@
-"""What "looked there and saw nothing" says of a target: its Gaussian belief, given that it is outside of the view.
+"""Missed detections as negative information: the Gaussian belief about a target, given that it is outside of the view.
 
 The Kalman filter as published learns only from measurements. But a target is not measured because it is outside of the
 view, and a belief that reaches into the view then claims too much. What is left of the Gaussian is no Gaussian; the one
@@ -20,15 +20,15 @@ IsInside = Callable[[Float[Array, "points d"]], Bool[Array, " points"]]
 
 
 POINTS = 256
-"""Positions that stand for a belief."""
+"""Number of positions that stand for a belief."""
 
 
-WIDER = 1.5
-"""They are spread so much wider than the belief, and weighed for it: what is left of a belief lies in its tails."""
+PROPOSAL_STD = 1.5
+"""Standard deviation of these points, in those of the belief: what a miss leaves of a belief lies in its tails."""
 
 
-LEAST_OUTSIDE = 0.05
-"""Where less of a belief than that is outside of the view, the belief itself was wrong: it stays as it is."""
+MIN_OUTSIDE = 0.05
+"""With a smaller probability of being outside of the view, the belief itself must be wrong, and stays as it is."""
 
 
 def standard_points(
@@ -37,21 +37,22 @@ def standard_points(
     """Points and weights that stand for N(0, I); their weights sum to 1, their mean is 0 and their covariance I.
 
     The additive recurrence on the powers of the generalised golden ratio, g^(d + 1) = g + 1 (Roberts 2018), through the
-    inverse of the normal distribution function, spread `WIDER` and weighed by the ratio of the densities (importance
-    sampling), then whitened.
+    inverse of the normal distribution function, with standard deviation `PROPOSAL_STD`, weighed by the
+    ratio of the densities (importance sampling), then whitened.
     """
     ratio = max(np.roots([1.0, *[0.0] * (dimension - 1), -1.0, -1.0]).real)
     steps = ratio ** -np.arange(1.0, dimension + 1)
     normal = ndtri((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
-    weights = np.exp((1.0 - WIDER**2) / 2.0 * np.sum(normal**2, axis=1))
+    weights = np.exp((1.0 - PROPOSAL_STD**2) / 2.0 * np.sum(normal**2, axis=1))
     weights /= weights.sum()
     points = normal - weights @ normal
     return np.linalg.solve(np.linalg.cholesky(points.T @ (weights[:, None] * points)), points.T).T, weights
 
 
 def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
-    """The Gaussian with mean and covariance of N(mu, C) given that the position Z y is not inside, as `is_inside` says
-    of positions in the world [m].
+    """The Gaussian with the mean and covariance of N(mu, C) given that the position Z y is not inside of the view.
+
+    `is_inside` tests positions in the world [m].
 
     Position p = Z y has mean m = Z mu and covariance S = Z C Z^T, on which the rest of the state depends by
     G = C Z^T S^-1. With the moments m', S' of p outside, mu' = mu + G (m' - m) and C' = C + G (S' - S) G^T.
@@ -64,14 +65,15 @@ def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: 
     points: Float[Array, "points d"] = middle + standard @ cholesky_spd(spread).T
     inside = is_inside(points)
     weights = jnp.where(inside, 0.0, weights)
-    says_something = jnp.any(inside) & (jnp.sum(weights) >= LEAST_OUTSIDE)
+    # Without a point inside nothing was learned; with nearly all inside, the few points left would be a poor sample.
+    is_informative = jnp.any(inside) & (jnp.sum(weights) >= MIN_OUTSIDE)
     moved, left = _moments(points, weights)
     gain = multiply(cross, inverse_spd(spread))
     shrunk = covariance + multiply(multiply(gain, left - spread), gain.T)
-    safe = symmetrise(jnp.where(says_something, shrunk, covariance))
+    safe = symmetrise(jnp.where(is_informative, shrunk, covariance))
     return Belief(
-        mean=jnp.where(says_something, belief.mean + gain @ (moved - middle), belief.mean),
-        information=jnp.where(says_something, inverse_spd(safe), belief.information),
+        mean=jnp.where(is_informative, belief.mean + gain @ (moved - middle), belief.mean),
+        information=jnp.where(is_informative, inverse_spd(safe), belief.information),
     )
 
 

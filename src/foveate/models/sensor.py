@@ -1,4 +1,4 @@
-"""What the agent's sensor sees and how well: z = H y + eta, eta ~ N(0, V), only inside the field of view."""
+"""The agent's sensor: z = H y + eta, eta ~ N(0, V), only inside the field of view."""
 
 from typing import Literal, NamedTuple
 
@@ -12,7 +12,7 @@ from foveate.geometry.linalg import inverse_spd, multiply
 
 
 class Softness(NamedTuple):
-    """How far the differentiable field of view is smeared over the real one: offset [-] and kappa [m]."""
+    """Blur of the differentiable field of view over the real one: offset [-] and kappa [m]."""
 
     offset: float
     kappa: float
@@ -35,8 +35,8 @@ class Sensor(eqx.Module):
 
     H (n_z, n_y); V (n_z, n_z) covariance of the noise [m^2], given in `frame`. In the body frame it turns with the
     agent, V_world = R V R^T (then n_z = d). The noise's standard deviation grows with the range r [m] to the
-    target by the factor 1 + range_growth r. With `uses_missed_detections` the filter that really runs also learns from not seeing
-    a target (see `models.missed_detection`).
+    target by the factor 1 + range_growth r. With `uses_missed_detections` the filter that really runs also learns from
+    not seeing a target (see `models.missed_detection`).
     """
 
     H: Float[Array, "n_z n_y"]

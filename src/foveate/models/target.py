@@ -1,4 +1,4 @@
-"""How one target moves: y' = A y + B xi + w, w ~ N(0, W) (paper, equation 2)."""
+"""Motion of one target: y' = A y + B xi + w, w ~ N(0, W) (paper, equation 2)."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -38,13 +38,13 @@ class LinearGaussian(eqx.Module):
 
     @property
     def begins_with_position(self) -> bool:
-        """Whether a state is d-vectors of which the first is the position, Z = [I 0]."""
+        """True where a state is d-vectors of which the first is the position, Z = [I 0]."""
         d, n_y = self.Z.shape
         return n_y % d == 0 and np.array_equal(self.Z, np.eye(d, n_y))
 
     @property
     def takes_drift(self) -> bool:
-        """Whether a velocity can be given to a target: as the input of a position, or as the second part of a state."""
+        """True where a target can be given a velocity: as the input of a position, or as the second part of a state."""
         d, n_y = self.Z.shape
         if n_y == d:
             return self.begins_with_position and np.array_equal(self.B, np.eye(d))

@@ -1,6 +1,6 @@
-"""The world of an experiment as plain, checked settings: agent, view, sensor, targets, and how scenes are drawn.
+"""Scenario of an experiment as plain, checked settings: agent, view, sensor, targets, distribution of scenes.
 
-`Scenario` is what the `[scenario]` table of a configuration file holds; `Scenario.problem()` turns it into arrays.
+`Scenario` is the `[scenario]` table of a configuration file; `Scenario.problem()` turns it into arrays.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.errors import InputError
 from foveate.io.validate import Matrix, matrix, positive, representable, require
 from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
@@ -24,7 +23,7 @@ from foveate.scenario.target import DriftTarget, TargetSettings, require_predict
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """One world: what moves, who looks, how well, and how often (`tau_s` [s] between decisions)."""
+    """Agent, field of view, sensor, targets and scenes, with `tau_s` [s] between decisions."""
 
     tau_s: float = 1.0
     agent: AgentSettings = field(default_factory=DifferentialDrive)
@@ -41,41 +40,41 @@ class Scenario:
         right = f"expected a shape in {d} dimensions, as the agent's"
         require(self.view.dimension == d, "view.shape", self.view.shape, right)
         require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
-        A, _, _, Z = self.target.motion(d, self.tau_s)
-        H = self._observation(Z)
-        if H.shape[1] != len(A):
-            raise InputError(f"sensor.H has {H.shape[1]} columns: expected {len(A)}, the length of a target's state")
-        if len(H) > len(A):
-            raise InputError(f"sensor.H has {len(H)} rows: expected at most {len(A)}, the length of a target's state")
-        noises = [("sensor.V", V) for V in (self.sensor.V,) if V is not None]
-        for name, V in [*noises, *(("schedule.V", V) for V in self.schedule.V)]:
-            if len(V) != len(H):
-                raise InputError(
-                    f"{name} is {len(V)} x {len(V)}: expected {len(H)} x {len(H)}, one row per measurement"
-                )
-        for W in self.schedule.W:
-            if len(W) != len(A):
-                raise InputError(f"schedule.W is {len(W)} x {len(W)}: expected {len(A)} x {len(A)}, as targets' states")
+        self._check_matrices()
         problem = self.problem()
-        for tau in self.schedule.tau_s:
-            self.target.motion(d, tau)
         for W in self.schedule.W:
             for tau in self.schedule.tau_s or (self.tau_s,):
                 require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
-        if any(self.scenes.drift_m_s) and not problem.motion.takes_drift:
-            right = "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or Z = B = I)"
-            raise InputError(f"scenes.drift_m_s = {self.scenes.drift_m_s!r}: {right}")
-        if self.sensor.frame == "body" and H.shape[0] != d:
-            raise InputError(f"sensor.frame = 'body' needs measured positions: H has {H.shape[0]} rows, expected {d}")
+        right = "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or Z = B = I)"
+        has_drift = any(self.scenes.drift_m_s)
+        require(not has_drift or problem.motion.takes_drift, "scenes.drift_m_s", self.scenes.drift_m_s, right)
+        # The first mean errs by N(0, V) in the world frame before any pose has been taken, so V must look the same from
+        # all of them.
         V = np.asarray(problem.period.V[0])
         turns = self.sensor.frame == "body" and not np.array_equal(V, V[0, 0] * np.eye(len(V)))
-        if turns and self.scenes.initial_error == "paper":
-            raise InputError(
-                "scenes.initial_error = 'paper': N(0, V) says nothing of the world where V turns with the agent: "
-                "expected 'consistent' with this sensor"
-            )
+        right = "expected 'consistent': a first error from N(0, V) is not defined where V turns with the agent"
+        is_paper = self.scenes.initial_error == "paper"
+        require(not (turns and is_paper), "scenes.initial_error", self.scenes.initial_error, right)
+
+    def _check_matrices(self) -> None:
+        """Raise InputError unless H, V and W fit the targets' state and each other."""
+        A, _, _, Z = self.target.motion(self.dimension, self.tau_s)
+        (rows, columns), n_y = self._observation(Z).shape, len(A)
+        of_state = "the length of a target's state"
+        require(columns == n_y, "sensor.H", self.sensor.H, f"expected {n_y} columns, {of_state}")
+        require(rows <= n_y, "sensor.H", self.sensor.H, f"expected at most {n_y} rows, {of_state}")
+        right = f"expected 'world', or a sensor.H of {self.dimension} rows that measures positions"
+        require(self.sensor.frame == "world" or rows == self.dimension, "sensor.frame", self.sensor.frame, right)
+        noises = [("schedule.V", V) for V in self.schedule.V]
+        if self.sensor.V is not None:
+            noises.append(("sensor.V", self.sensor.V))
+        for name, V in noises:
+            require(len(V) == rows, name, V, f"expected {rows} x {rows}, a row per measured number")
+        for W in self.schedule.W:
+            require(len(W) == n_y, "schedule.W", W, f"expected {n_y} x {n_y}, {of_state}")
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
+        """H: by default the position."""
         return Z if self.sensor.H is None else matrix(self.sensor.H, "sensor.H", (None, None))
 
     @property
@@ -84,7 +83,7 @@ class Scenario:
         return self.agent.dimension
 
     def problem(self) -> Problem:
-        """The arrays that simulation works on."""
+        """The same as arrays, for simulation."""
         d = self.dimension
         H = self._observation(self.target.motion(d, self.tau_s)[-1])
         V = self.sensor.std_m**2 * np.eye(len(H)) if self.sensor.V is None else np.array(self.sensor.V)
@@ -110,16 +109,16 @@ class Scenario:
         return LinearGaussian(A=_array(A), B=_array(B), W=_array(own if W is None else W), Z=_array(Z))
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
-        """One entry a step; what the settings leave empty is as at all times."""
-        given = self.schedule
-        if given.length == 0:
+        """One entry per step; lists that the settings leave empty repeat the constant value."""
+        schedule = self.schedule
+        if schedule.length == 0:
             return None
-        taus = given.tau_s or (self.tau_s,) * given.length
-        motions = [self._motion(tau, W) for tau, W in zip(taus, given.W or (None,) * given.length, strict=True)]
+        taus = schedule.tau_s or (self.tau_s,) * schedule.length
+        motions = [self._motion(tau, W) for tau, W in zip(taus, schedule.W or (None,) * schedule.length, strict=True)]
         return Schedule(
             tau=_array(taus),
             motion=jax.tree.map(lambda *parts: jnp.stack(parts), *motions),
-            V=_array(given.V or [V] * given.length),
+            V=_array(schedule.V or [V] * schedule.length),
         )
 
 

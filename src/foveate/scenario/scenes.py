@@ -1,4 +1,4 @@
-"""Scenes: where agent and targets start and how the targets drift. In memory and in files."""
+"""Scenes: starts of agent and targets, and drifts of the targets; in memory and in files."""
 
 import json
 from collections import Counter
@@ -17,18 +17,17 @@ from foveate.io.validate import not_negative, require
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSettings:
-    """The distribution that training scenes are drawn from, and what an episode of it is.
+    """Distribution of training scenes, and settings of an episode.
 
-    Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` whose half side is
+    Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` with half side
     `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
-    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
-    [-drift_m_s, drift_m_s] of each axis, one for all targets of a scene (`shared_drift`) or each its own, plus
-    [-jitter_m_s, jitter_m_s] anew at each step, where targets are positions that an input drives (other kinds have no
-    jitter: the drift is their first velocity); `known_drift` says whether the agent is told (the paper: yes), and
-    `process_noise` whether the targets are pushed by N(0, W) as well. With `birth_and_death`, in training, a target that
-    leaves the box is replaced by a new one that enters at the other side.
-    Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at no range ("paper":
-    claims more than it errs), or drawn from the first belief ("consistent").
+    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in [-drift_m_s, drift_m_s] per
+    axis, one for all targets of a scene (`shared_drift`) or each its own. Targets that are positions driven by an input
+    get a new jitter, uniform in [-jitter_m_s, jitter_m_s], added at each step; for other kinds the drift is the first
+    velocity. `known_drift`: the agent knows these inputs (the paper: yes). `process_noise`: targets are also pushed by
+    N(0, W). `birth_and_death`: in training, a target that leaves the box is replaced by a new one that enters at the
+    other side. Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at range 0
+    ("paper": claims more than it errs), or drawn from the first belief ("consistent").
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}
@@ -80,13 +79,13 @@ class SceneSettings:
 
     @property
     def mean_horizon(self) -> float:
-        """Steps of an episode in the mean over the scenes that are drawn."""
+        """Expected steps of an episode."""
         numbers = range(self.targets_min, self.targets_max + 1)
         return sum(map(self.horizon, numbers)) / len(numbers)
 
     @property
     def middle_steps_left(self) -> int:
-        """The steps to the end in the middle of an episode: what a robot without an end tells its policy every time."""
+        """Steps left in the middle of an episode: the value for a robot without an end, at every decision."""
         return round(self.mean_horizon / 2)
 
 
@@ -97,7 +96,7 @@ MAX_HORIZON = 100_000
 
 
 MAX_LENGTH = 1e9
-"""Larger lengths [m] have no digits left for the agent's view, in any precision."""
+"""Larger lengths [m] leave no digits for the agent's view, in any precision."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,13 +121,13 @@ def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
 
 
 def scenes_digest(scenes: Sequence[Scene]) -> str:
-    """What tells these scenes from all others."""
+    """Digest of the scenes' content, 16 hex digits."""
     return content_digest([asdict(scene) for scene in scenes])[:16]
 
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
     """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
-    # As they would stand in a file; whoever makes them may have put arrays into them.
+    # Through JSON, so that scenes made in Python, perhaps of arrays, meet the same checks as those in files.
     rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
     return _scenes(json.loads(rows), "scenes", space, settings)
 

@@ -1,4 +1,4 @@
-"""Settings of the sensor, and of what changes from step to step."""
+"""Settings of the sensor, and of values that change from step to step."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -8,12 +8,12 @@ from foveate.io.validate import Matrix, covariance, matrix, not_negative, positi
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSettings:
-    """Linear measurement z = H y + eta inside the view.
+    """Linear measurement z = H y + eta, eta ~ N(0, V), of a target inside the view.
 
-    `std_m` is the noise of a position measurement [m]; `V` overrides it with a full covariance, `H` the measured
-    part of the state. `frame` says in which frame V is given; its standard deviation grows with the range by
-    the factor 1 + range_growth_per_m r. With `missed_detections = "used"` the Kalman filter that really runs also learns from not
-    seeing a target where it looked; left out, only from measurements.
+    `std_m` is the standard deviation of a measured position [m]; `V` replaces it by a full covariance, `H` measures
+    another part of the state. V is given in `frame`; the standard deviation grows with the range r [m] by the factor
+    1 + range_growth_per_m r. With `missed_detections = "used"` the Kalman filter that really runs also learns from not
+    seeing a target inside the view; without, from measurements alone.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"absence": "missed_detections"}
@@ -24,7 +24,7 @@ class SensorSettings:
     range_growth_per_m: float = 0.0
     """0 where noise does not depend on the range."""
     missed_detections: Literal["used"] | None = None
-    """What the filter makes of not seeing a target; see models/missed_detection.py."""
+    """Whether the filter uses missed detections; see models/missed_detection.py."""
 
     def __post_init__(self) -> None:
         positive(self, "std_m")
@@ -37,11 +37,11 @@ class SensorSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ScheduleSettings:
-    """What changes from step to step, over and over: step k takes entry k modulo the length of a list.
+    """Periodic values: step k takes entry k modulo the length of a list.
 
-    `tau_s`: the length of each step [s], for which motion that knows time (constant velocity, constant acceleration)
-    is discretised anew. `W`, `V`: covariances in place of the targets' process noise and the sensor's noise.
-    What is left empty stays as it is elsewhere in the scenario.
+    `tau_s` is the length of each step [s], for which continuous-time motion (constant velocity, constant acceleration)
+    is discretised; `W` and `V` are covariances in place of the targets' process noise and the sensor's noise. An empty
+    list leaves what the rest of the scenario says.
     """
 
     tau_s: tuple[float, ...] = ()
@@ -59,5 +59,5 @@ class ScheduleSettings:
 
     @property
     def length(self) -> int:
-        """Steps after which it begins again; 0 where nothing changes."""
+        """Period in steps; 0 where nothing changes."""
         return max(len(self.tau_s), len(self.W), len(self.V))

@@ -1,7 +1,7 @@
-"""Targets as plain settings: how they move in a step of tau seconds, and what is believed of them at first.
+"""Targets as plain settings: their motion in a step of tau seconds, and the first belief about them.
 
-Every kind answers `motion(dimension, tau_s)` with the matrices A, B, W, Z of y' = A y + B xi + w, w ~ N(0, W), whose
-position is Z y, and `prior_covariance(dimension)` with the covariance of the first belief.
+Every kind has `motion(dimension, tau_s)`, the matrices A, B, W, Z of y' = A y + B xi + w, w ~ N(0, W), with position
+Z y, and `prior_covariance(dimension)`, the covariance of the first belief.
 """
 
 import math

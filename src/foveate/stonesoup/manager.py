@@ -7,7 +7,7 @@
     manager = PolicySensorManager(platforms={platform}, policy=policy, predictor=KalmanPredictor(motion))
 
 Tracks, predictor and updater are Stone Soup's own. Stone Soup orders a state [x, vx, y, vy], foveate [x, y, vx, vy];
-what stands where follows from the sensor's `position_mapping`, or from what it measures where it has none.
+the order follows from the sensor's `position_mapping`, or from what it measures where it has none.
 """
 
 import datetime
@@ -20,6 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from stonesoup.models.base import GaussianModel, LinearModel
+from stonesoup.predictor import Predictor
+from stonesoup.sensormanager import SensorManager
+from stonesoup.types.track import Track
 
 from foveate.errors import InputError
 from foveate.geometry import fov, fov_planar
@@ -30,18 +34,11 @@ from foveate.models.target import LinearGaussian
 from foveate.simulation.records import Observation, Policy
 from foveate.stonesoup.parts import BodyMovable, Property, TwistAction, pose_of
 
-# isort: split
-# After our own, which say which extra is missing.
-from stonesoup.models.base import GaussianModel, LinearModel
-from stonesoup.predictor import Predictor
-from stonesoup.sensormanager import SensorManager
-from stonesoup.types.track import Track
-
 
 def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, ...]:
-    """Where foveate's state, positions first, then velocities and so on, stands in Stone Soup's.
+    """Indices in Stone Soup's state of foveate's: positions first, then velocities and so on.
 
-    Either interleaved, [x, vx, y, vy], or in blocks, [x, y, vx, vy]. Raises ValueError where it is neither.
+    Stone Soup's is either interleaved, [x, vx, y, vy], or in blocks, [x, y, vx, vy]. Raises InputError for others.
     """
     first = tuple(int(i) for i in position_mapping)
     parts, rest = divmod(ndim_state, len(first))
@@ -56,23 +53,27 @@ def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, 
 
 
 def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance: Any) -> Problem:
-    """The world of a Stone Soup simulation as foveate's own: to train for, plan in, or make a policy by hand for.
+    """Problem of a Stone Soup simulation, to train for, plan in, or make a heuristic for.
 
-    Body and limits are those of the `BodyMovable` that carries the sensor; field of view and noise the sensor's own;
-    A, W (and B, of a control model) the predictor's over `tau_s` [s]; `prior_covariance` that of a first belief, in
-    Stone Soup's order. A sensor with a linear model that has `max_range` and `fov_angle`, named as in Stone Soup's
-    radars, sees a sector. Raises ValueError in one line for a model that is not linear-Gaussian, and for what has no
-    place in foveate.
+    Args:
+        sensor: Gives field of view and noise; the `BodyMovable` that carries it gives the body and its limits. A sensor
+            with a linear model, `max_range` and `fov_angle`, named as in Stone Soup's radars, sees a sector.
+        predictor: Gives A and W, and B where it has a control model.
+        tau_s: Control period [s].
+        prior_covariance: Of a first belief (n_y, n_y), in Stone Soup's order.
+
+    Raises:
+        InputError: A model is not linear-Gaussian, or the sensor is carried in a way that foveate does not have.
     """
     agent = _body_of(sensor).agent
     motion_model, measurement = _linear(sensor, predictor)
     order = list(state_order(_mapping(sensor), measurement.ndim_state))
-    turned, d, n_y = np.ix_(order, order), agent.space.dimension, len(order)
+    block, d, n_y = np.ix_(order, order), agent.space.dimension, len(order)
     interval = {"time_interval": datetime.timedelta(seconds=tau_s)}
     # Stone Soup's own control model, where none is given, is zeros of another width.
     control: Any = predictor.control_model
-    given = np.asarray(control.matrix(**interval), float)
-    B = given[order] if given.any() else np.zeros((n_y, d))
+    control_matrix = np.asarray(control.matrix(**interval), float)
+    B = control_matrix[order] if control_matrix.any() else np.zeros((n_y, d))
     return Problem(
         agent=agent,
         sensor=Sensor(
@@ -81,27 +82,26 @@ def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance
             view=_view_of(sensor, agent),
         ),
         motion=LinearGaussian(
-            A=_array(np.asarray(motion_model.matrix(**interval))[turned]),
+            A=_array(np.asarray(motion_model.matrix(**interval))[block]),
             B=_array(B),
-            W=_array(np.asarray(motion_model.covar(**interval))[turned]),
+            W=_array(np.asarray(motion_model.covar(**interval))[block]),
             Z=jnp.eye(d, n_y),
         ),
         tau=_array(tau_s),
-        prior_information=_array(np.linalg.inv(np.asarray(prior_covariance, float)[turned])),
+        prior_information=_array(np.linalg.inv(np.asarray(prior_covariance, float)[block])),
     )
 
 
 class PolicySensorManager(SensorManager):
     """Steers the platform of one sensor by a foveate policy.
 
-    Each track is predicted to `timestamp` by Stone Soup's predictor, and the policy decides on that, at the pose of the
-    sensor. The command comes back as an action of the platform, or of a sensor given alone, one with `steers`.
+    Each track is predicted to `timestamp` by Stone Soup's predictor, and the policy decides on the predictions, at the
+    pose of the sensor. Its command becomes an action of the platform, or of a sensor given alone, one with `steers`.
 
-    `end_time` is when the run ends, by which the policy knows how many steps are left; one that goes on and on has
-    `steps_left` at each step, as many as in the middle of a training episode. `trained_for` is the problem that the
-    policy was trained on: what of it differs here is warned of once. No inputs of the targets are known. Raises
-    ValueError in one line for a model that is not linear-Gaussian, for tracks without a covariance, and for other than
-    one sensor.
+    From `end_time`, the end of the run, follow the steps left; a run without an end has `steps_left` at every decision,
+    as many as in the middle of a training episode. `trained_for` is the problem that the policy was trained on: a
+    warning names once what differs here. No inputs of the targets are known. Raises InputError for a model that is not
+    linear-Gaussian, for tracks without a covariance, and unless there is exactly one sensor.
     """
 
     policy: Policy = Property(doc="Decides.")
@@ -109,8 +109,8 @@ class PolicySensorManager(SensorManager):
     end_time: datetime.datetime = Property(default=None, doc="When the run ends.")
     steps_left: int = Property(default=8, doc="Steps left at each decision of a run without an end.")
     trained_for: Problem = Property(default=None, doc="The problem that the policy was trained on.")
-    pad_to: int = Property(default=8, doc="The policy is compiled for multiples of so many tracks.")
-    seed: int = Property(default=0, doc="Of the policy's own chance.")
+    pad_to: int = Property(default=8, doc="The policy is compiled for multiples of this number of tracks.")
+    seed: int = Property(default=0, doc="Random seed of the policy.")
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -130,7 +130,7 @@ class PolicySensorManager(SensorManager):
     def choose_actions(  # pyright: ignore[reportIncompatibleMethodOverride]  # as all of Stone Soup's own
         self, tracks: Iterable[Track], timestamp: datetime.datetime, nchoose: int = 1, **kwargs: Any
     ) -> list[dict[Any, tuple[TwistAction, ...]]]:
-        """The policy's one command until `timestamp`. Raises ValueError where more than one is asked for."""
+        """The policy's command until `timestamp`. Raises InputError for other `nchoose` than 1."""
         if nchoose != 1:
             raise InputError(f"nchoose = {nchoose}: expected 1, a policy has one answer")
         seen = self._seen(tracks, timestamp)
@@ -143,7 +143,7 @@ class PolicySensorManager(SensorManager):
         return [{actionable: (generator.action_from_value(np.asarray(control)),)}]
 
     def _seen(self, tracks: Iterable[Track], timestamp: datetime.datetime) -> dict[str, np.ndarray]:
-        """The parts of the policy's observation: the predicted tracks in the order of their ids, padded."""
+        """Parts of the policy's observation: the predicted tracks in the order of their ids, padded."""
         ordered = sorted(tracks, key=lambda track: track.id)
         for track in ordered:
             if not hasattr(track.state, "covar"):
@@ -176,14 +176,14 @@ class PolicySensorManager(SensorManager):
     def _warn(self, trained: Problem) -> None:
         tau = float(trained.tau)
         here = problem_of(self._sensor, self.predictor, tau, np.eye(len(self._order)))
-        told = {
+        compared = {
             "body and its limits": (trained.agent, here.agent),
             "field of view": (trained.sensor.view, here.sensor.view),
             "noise of the sensor": (trained.sensor.V, here.sensor.V),
             f"motion of the targets over {tau:g} s": tuple((m.A, m.W, m.Z) for m in (trained.motion, here.motion)),
         }
-        if other := [name for name, (theirs, ours) in told.items() if not eqx.tree_equal(theirs, ours, rtol=1e-4)]:
-            warnings.warn(f"the policy was trained for another world: {', '.join(other)}", stacklevel=3)
+        if other := [name for name, (theirs, ours) in compared.items() if not eqx.tree_equal(theirs, ours, rtol=1e-4)]:
+            warnings.warn(f"the policy was trained for another problem: {', '.join(other)}", stacklevel=3)
 
 
 @eqx.filter_jit
@@ -200,7 +200,7 @@ def _decide(policy: Policy, agent: Agent, seen: dict[str, Any], memory: Any, see
 
 
 def _body_of(sensor: Any) -> BodyMovable:
-    """The body that carries a sensor, which must look where it heads."""
+    """Body that carries a sensor. Raises InputError unless the sensor looks where the body heads."""
     body = sensor.movement_controller
     if not isinstance(body, BodyMovable):
         raise InputError(f"the sensor is carried by {type(body).__name__}: expected a BodyMovable, which has a heading")
@@ -210,7 +210,7 @@ def _body_of(sensor: Any) -> BodyMovable:
 
 
 def _linear(sensor: Any, predictor: Predictor) -> tuple[Any, Any]:
-    """Transition and measurement model. Raises ValueError where one is not linear-Gaussian."""
+    """Transition and measurement model. Raises InputError where one is not linear-Gaussian."""
     models = predictor.transition_model, sensor.measurement_model
     for owner, model in zip((predictor, sensor), models, strict=True):
         if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
@@ -222,7 +222,7 @@ def _linear(sensor: Any, predictor: Predictor) -> tuple[Any, Any]:
 
 
 def _mapping(sensor: Any) -> tuple[int, ...]:
-    """Where the position stands in a target's state: the sensor's `position_mapping`, or else what it measures."""
+    """Indices of the position in a target's state: the sensor's `position_mapping`, or else what it measures."""
     return tuple(getattr(sensor, "position_mapping", None) or sensor.measurement_model.mapping)
 
 

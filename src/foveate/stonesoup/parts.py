@@ -1,4 +1,4 @@
-"""What Stone Soup lacks for a body that turns: a movable with a heading, its commands, a sensor that has a view."""
+"""Parts that Stone Soup lacks for a body that turns: a movable with a heading, its commands, a sensor with a view."""
 
 import datetime
 from collections.abc import Iterator, Sequence
@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+from stonesoup import base
 from stonesoup.functions import build_rotation_matrix
 from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.movable import FixedMovable
@@ -22,17 +23,11 @@ from foveate.geometry.fov import FieldOfView
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
 
-try:
-    from stonesoup import base
-except ImportError as error:
-    raise ImportError("foveate.stonesoup needs stonesoup: pip install 'foveate[stonesoup]'") from error
-
-
 Property: Any = base.Property
 """Stone Soup's, which is declared as the type of what it holds."""
 
 
-# Compiled: Stone Soup's managers move and look a thousand times a decision.
+# Compiled, as Stone Soup's managers move and sense a thousand times per decision.
 _moved = jax.jit(lambda agent, pose, control, seconds: agent.move(pose, agent.action(control), seconds))
 
 
@@ -178,11 +173,11 @@ class ViewSensor(SimpleSensor):
         return LinearGaussian(ndim_state=self.ndim_state, mapping=self.position_mapping, noise_covar=self.noise_covar)
 
     def is_detectable(self, state: State, measurement_model: Any = None) -> bool:
-        """Whether the state's position is in view."""
+        """True where the state's position is in view."""
         return self._sees(state.state_vector[list(self.position_mapping), :])
 
     def is_clutter_detectable(self, state: State) -> bool:
-        """Whether a false detection is in view."""
+        """True where a false detection is in view."""
         return self._sees(state.state_vector)
 
     def _sees(self, position_world: Any) -> bool:

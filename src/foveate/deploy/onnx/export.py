@@ -1,8 +1,8 @@
 """A trained policy as an ONNX file, for robots without JAX (extra `onnx`).
 
-The graph takes what a tracker knows, in metres and in the world frame, and gives a command in m/s and rad/s: all that a
-policy makes of its observation is inside. Its metadata say what goes in and comes out, and hold the matrices that
-predict a belief. `docs/deploy.md` describes both.
+The graph takes beliefs in metres and in the world frame, and returns a command in m/s and rad/s: all that a policy
+computes from its observation is inside. Its metadata describe inputs and output, and hold the matrices that predict a
+belief. `docs/deploy.md` describes both.
 """
 
 import json
@@ -41,7 +41,7 @@ UNITS = {"v": "m/s", "w": "rad/s"}
 
 @dataclass(frozen=True, kw_only=True)
 class Input:
-    """One input of the graph: b decisions, n targets."""
+    """One input of the graph, for b decisions and n targets."""
 
     name: str
     dtype: str
@@ -50,11 +50,11 @@ class Input:
 
 
 def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
-    """What the graph of a policy asks for, in this order: only what that policy reads."""
+    """Inputs of a policy's graph in order: only those that it reads."""
     planar = problem.agent.space.dimension == 2
     n_y, m_y = problem.motion.state_size, problem.motion.input_size
     poses = "[x, y, yaw] [m, rad]" if planar else "homogeneous transform T, body to world [m]"
-    found = [
+    inputs = [
         Input(
             name="pose",
             dtype="float32",
@@ -84,10 +84,10 @@ def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
     if isinstance(policy, PointerPolicy):
         if m_y == problem.agent.space.dimension:
             meaning = "the known input xi that led to the prediction of each target; 0 where none is known"
-            found.append(Input(name="known_input", dtype="float32", shape=("b", "n", m_y), meaning=meaning))
+            inputs.append(Input(name="known_input", dtype="float32", shape=("b", "n", m_y), meaning=meaning))
         meaning = "steps until the end, this one too; a robot without an end gives the file's steps_left every time"
-        found.append(Input(name="steps_left", dtype="int64", shape=("b",), meaning=meaning))
-    return tuple(found)
+        inputs.append(Input(name="steps_left", dtype="int64", shape=("b",), meaning=meaning))
+    return tuple(inputs)
 
 
 def metadata_of(experiment: Experiment, policy: Policy) -> dict[str, str]:
@@ -99,7 +99,7 @@ def metadata_of(experiment: Experiment, policy: Policy) -> dict[str, str]:
     steps = [
         {"tau_s": tau, "A": A, "B": B, "W": W, "V": V}
         for tau, A, B, W, V in zip(
-            *(_plain(x) for x in (period.tau, period.motion.A, period.motion.B, period.motion.W, period.V)), strict=True
+            *map(_plain, (period.tau, period.motion.A, period.motion.B, period.motion.W, period.V)), strict=True
         )
     ]
     model = {
@@ -136,10 +136,10 @@ def metadata_of(experiment: Experiment, policy: Policy) -> dict[str, str]:
 
 
 def to_onnx(experiment: Experiment, policy: Policy, opset: int = DEFAULT_OPSET) -> "ModelProto":
-    """The policy as an ONNX model: `inputs_of` in, the command of the actuated axes (b, m) [m/s, rad/s] out.
+    """ONNX model of a policy: `inputs_of` in, the command of the actuated axes (b, m) [m/s, rad/s] out.
 
-    Raises ValueError for an opset that is not in `OPSETS`, a policy that has no ONNX graph here, and where the
-    extra is missing.
+    Raises InputError for an opset that is not in `OPSETS`, a policy that has no ONNX graph here, and where the extra is
+    missing.
     """
     if opset not in OPSETS:
         raise InputError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
@@ -176,7 +176,7 @@ def to_onnx(experiment: Experiment, policy: Policy, opset: int = DEFAULT_OPSET) 
 
 
 def export(experiment: Experiment, policy: Policy, path: Path, opset: int = DEFAULT_OPSET) -> None:
-    """Write `to_onnx` to a file, whole or not at all. Raises ValueError as it does."""
+    """Write `to_onnx` to a file, whole or not at all. Raises InputError as it does."""
     write_atomic(path, to_onnx(experiment, policy, opset).SerializeToString())
 
 

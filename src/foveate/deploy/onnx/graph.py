@@ -12,6 +12,7 @@ from foveate.geometry.space import Space
 from foveate.policies.inputs import Scale
 
 LOWEST = np.finfo(np.float32).min
+"""Score of absent targets. Not -inf, of which a softmax over nothing else is NaN."""
 
 
 COTANGENT = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
@@ -19,8 +20,10 @@ COTANGENT = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 130767
 
 
 class Graph:
-    """Nodes and constants as they are added. `graph("Add", x, y)` adds a node and gives its output's name; whatever is
-    no name is a constant."""
+    """Nodes and constants of a graph under construction.
+
+    `graph("Add", x, y)` adds a node and returns the name of its output; inputs that are not names become constants.
+    """
 
     def __init__(self) -> None:
         self.nodes: list[NodeProto] = []
@@ -44,57 +47,60 @@ class Graph:
         """W x + b along the last axis."""
         return self("Add", self("MatMul", x, np.asarray(layer.weight).T), np.asarray(layer.bias))
 
-    def chain(self, x: str, layers: Any) -> str:
-        """Layers with a ReLU after each."""
+    def relu_layers(self, x: str, layers: Any) -> str:
+        """Dense layers with a ReLU after each."""
         for layer in layers:
             x = self("Relu", self.dense(x, layer))
         return x
 
-    def gathered(self, targets: str, scores: str) -> str:
-        """The mean of the targets (b, n, e) under each row's softmax of scores (b, h, n): shape (b, h, e).
+    def softmax_mean(self, targets: str, scores: str) -> str:
+        """Mean of the targets (b, n, e) weighted by the softmax of scores (b, h, n) over them: shape (b, h, e).
 
         Only targets that are present count; without any, the mean is 0.
         """
         present = self("Unsqueeze", "present", [1])
-        powers = self("Softmax", self("Where", present, scores, LOWEST), axis=-1)
-        # Where all are absent the lowest score is everyone's, and the softmax not 0.
-        return self("MatMul", self("Where", present, powers, 0.0), targets)
+        weights = self("Softmax", self("Where", present, scores, LOWEST), axis=-1)
+        # Where all are absent all have the lowest score, and the softmax is uniform instead of 0.
+        return self("MatMul", self("Where", present, weights, 0.0), targets)
 
 
 class BodyInputs(NamedTuple):
-    """Names: state (b, n, n_y) and packed information (b, n, p) in the agent's frame, and R^T's product with a vector
-    of the world is `vector @ turn` with turn (b, d, d)."""
+    """Names of the targets' inputs in the agent's frame: state (b, n, n_y), packed information (b, n, p), rotation.
+
+    `rotation` is R (b, d, d), body to world: a vector of the world in the agent's frame is `vector @ rotation`.
+    """
 
     mean: str
     information: str
-    turn: str
+    rotation: str
 
 
 def body_inputs(graph: Graph, space: Space, state_size: int) -> BodyInputs:
-    """Mean and information matrix of every target, turned into the agent's frame (as `policies.inputs`)."""
+    """Mean and information matrix of every target, rotated into the agent's frame (as `policies.inputs`)."""
     d, order = space.dimension, state_size // space.dimension
     if d == 2:
         yaw = graph("Gather", "pose", [2], axis=1)
         numbers = graph("Concat", graph("Cos", yaw), graph("Sin", yaw), axis=1)
-        parts = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]]], float)  # R = cos I + sin J
-        pose, places = "pose", [0, 1]
+        basis = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]]], float)  # R = cos I + sin J
+        pose, position_entries = "pose", [0, 1]
     else:
         pose = numbers = graph("Reshape", "pose", [-1, 16])
-        places = [3, 7, 11]
-        parts = np.zeros((16, 3, 3))
+        position_entries = [3, 7, 11]
+        basis = np.zeros((16, 3, 3))
         for i, j in np.ndindex(3, 3):
-            parts[4 * i + j, i, j] = 1.0
-    # diag(R, R, ..) is linear in the numbers of R, and so is the position in those of the pose.
-    whole = np.stack([np.kron(np.eye(order), part).ravel() for part in parts])
-    turn_state = graph("Reshape", graph("MatMul", numbers, whole), [-1, 1, state_size, state_size])
-    turn = graph("Reshape", graph("MatMul", numbers, parts.reshape(len(parts), -1)), [-1, d, d])
-    shift = np.zeros((3 if d == 2 else 16, state_size))
-    shift[places, range(d)] = 1.0
-    position = graph("Unsqueeze", graph("MatMul", pose, shift), [1])
-    mean = graph("MatMul", graph("Sub", "mean", position), graph("Squeeze", turn_state, [1]))
-    half = graph("MatMul", "information", turn_state)
-    turned = graph("MatMul", graph("Transpose", turn_state, perm=[0, 1, 3, 2]), half)
-    return BodyInputs(mean, packed(graph, turned, state_size), turn)
+            basis[4 * i + j, i, j] = 1.0
+    # R and diag(R, R, ..) are linear in `numbers`, and the position in those of the pose: one product with a constant
+    # matrix makes each of them.
+    state_basis = np.stack([np.kron(np.eye(order), part).ravel() for part in basis])
+    state_rotation = graph("Reshape", graph("MatMul", numbers, state_basis), [-1, 1, state_size, state_size])
+    rotation = graph("Reshape", graph("MatMul", numbers, basis.reshape(len(basis), -1)), [-1, d, d])
+    to_position = np.zeros((3 if d == 2 else 16, state_size))
+    to_position[position_entries, range(d)] = 1.0
+    position = graph("Unsqueeze", graph("MatMul", pose, to_position), [1])
+    mean = graph("MatMul", graph("Sub", "mean", position), graph("Squeeze", state_rotation, [1]))
+    half = graph("MatMul", "information", state_rotation)
+    information = graph("MatMul", graph("Transpose", state_rotation, perm=[0, 1, 3, 2]), half)
+    return BodyInputs(mean, packed(graph, information, state_size), rotation)
 
 
 def packed(graph: Graph, information: str, state_size: int) -> str:
@@ -105,10 +111,9 @@ def packed(graph: Graph, information: str, state_size: int) -> str:
 
 
 def features(graph: Graph, mean: str, information: str, length_m: float, scale: Scale) -> str:
-    """What is said of each target; zeros where none is present, whatever stands there."""
-    known = graph("Asinh", information) if scale == "asinh" else information
-    both = graph("Concat", graph("Div", mean, length_m), known, axis=2)
-    return only_present(graph, both)
+    """Mean and information of each target as a network reads them; zeros where none is present."""
+    scaled = graph("Asinh", information) if scale == "asinh" else information
+    return only_present(graph, graph("Concat", graph("Div", mean, length_m), scaled, axis=2))
 
 
 def only_present(graph: Graph, values: str) -> str:

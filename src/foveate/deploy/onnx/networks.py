@@ -1,4 +1,4 @@
-"""The networks of `policies/` as ONNX nodes: from a pose and predicted beliefs to what tanh turns into an action."""
+"""The networks of `policies/` as ONNX nodes: from a pose and predicted beliefs to the action before its tanh."""
 
 import numpy as np
 from onnx import TensorProto
@@ -19,30 +19,33 @@ def attention(graph: Graph, policy: AttentionPolicy, state_size: int) -> str:
         agent = graph.constant(np.zeros((1, policy.space.twist_size)))
         mean, information, _ = body_inputs(graph, policy.space, state_size)
     targets = features(graph, mean, information, policy.length_m, policy.information)
-    agent, targets = graph.chain(agent, policy.agent_layers), graph.chain(targets, policy.target_layers)
+    agent, targets = graph.relu_layers(agent, policy.agent_layers), graph.relu_layers(targets, policy.target_layers)
     query = graph("Unsqueeze", graph("Div", agent, policy.alpha), [1])
     scores = graph("MatMul", query, graph("Transpose", targets, perm=[0, 2, 1]))
-    context = graph("Relu", graph("Squeeze", graph.gathered(targets, scores), [1]))
+    context = graph("Relu", graph("Squeeze", graph.softmax_mean(targets, scores), [1]))
     first, *rest = policy.out_layers
     weight, size = np.asarray(first.weight).T, np.asarray(policy.target_layers[-1].bias).size
-    told = graph("Add", graph("MatMul", agent, weight[size:]), np.asarray(first.bias))
-    hidden = graph("Add", graph("MatMul", context, weight[:size]), told)
+    # A first layer on [context, agent] is the sum of one on each: the agent's part is constant in the body frame,
+    # and then computed only once.
+    by_agent = graph("Add", graph("MatMul", agent, weight[size:]), np.asarray(first.bias))
+    hidden = graph("Add", graph("MatMul", context, weight[:size]), by_agent)
     for layer in rest:
         hidden = graph.dense(graph("Relu", hidden), layer)
     return hidden
 
 
 def set_encoder(graph: Graph, network: SetEncoder, state_size: int, input_size: int) -> tuple[str, str]:
-    """Every target by itself (b, n, e), from `rich_inputs`, and what each of h queries gathers of all (b, h e)."""
+    """Nodes of `SetEncoder`: embeddings of the targets (b, n, e), and their means by h attention queries (b, h e)."""
     d = network.space.dimension
-    mean, information, turn = body_inputs(graph, network.space, state_size)
+    mean, information, rotation = body_inputs(graph, network.space, state_size)
     position = graph("Slice", mean, [0], [d], [2])
     square = graph("ReduceSum", graph("Mul", position, position), [2])
     distance = graph("Sqrt", graph("Add", square, LEAST_RANGE_M**2))
-    known = [features(graph, mean, information, network.length_m, "asinh")]
-    known += [only_present(graph, x) for x in (graph("Div", position, distance), graph("Log", distance))]
+    # The order of these inputs is that of `policies.inputs.rich_inputs`.
+    own_inputs = [features(graph, mean, information, network.length_m, "asinh")]
+    own_inputs += [only_present(graph, x) for x in (graph("Div", position, distance), graph("Log", distance))]
     if input_size == d:
-        known.append(only_present(graph, graph("MatMul", "known_input", turn)))
+        own_inputs.append(only_present(graph, graph("MatMul", "known_input", rotation)))
     left = graph("Max", graph("Cast", graph("Unsqueeze", "steps_left", [1]), to=TensorProto.FLOAT), 0.0)
     count = graph("ReduceSum", graph("Cast", "present", to=TensorProto.FLOAT), [1])
     common = graph(
@@ -52,28 +55,31 @@ def set_encoder(graph: Graph, network: SetEncoder, state_size: int, input_size: 
         graph("Div", count, USUAL_TARGETS),
         axis=1,
     )
+    # The three numbers `common` to all targets stand in the middle of a target's inputs: their part of the first layer
+    # is computed once for all.
     first, *rest = network.target_layers
     weight = np.asarray(first.weight).T
     begin = state_size + state_size * (state_size + 1) // 2 + d + 1
     own = np.concatenate([weight[:begin], weight[begin + 3 :]])
     shared = graph("Add", graph("MatMul", common, weight[begin : begin + 3]), np.asarray(first.bias))
-    hidden = graph("MatMul", graph("Concat", *known, axis=2), own)
-    targets = graph.chain(graph("Relu", graph("Add", hidden, graph("Unsqueeze", shared, [1]))), rest)
+    hidden = graph("MatMul", graph("Concat", *own_inputs, axis=2), own)
+    targets = graph.relu_layers(graph("Relu", graph("Add", hidden, graph("Unsqueeze", shared, [1]))), rest)
     (query,) = network.query_layers
     scores = graph("Transpose", graph.dense(targets, query), perm=[0, 2, 1])
     size = np.asarray(query.bias).size * np.asarray(network.target_layers[-1].bias).size
-    return targets, graph("Reshape", graph.gathered(targets, scores), [-1, size])
+    return targets, graph("Reshape", graph.softmax_mean(targets, scores), [-1, size])
 
 
 def pointer(graph: Graph, policy: PointerPolicy, state_size: int, input_size: int) -> str:
     """Nodes of `PointerPolicy`, up to its tanh: the numbers of the mode with the largest weight."""
-    targets, gathered = set_encoder(graph, policy.encoder, state_size, input_size)
-    context = graph.chain(gathered, policy.context_layers)
+    targets, attended = set_encoder(graph, policy.encoder, state_size, input_size)
+    context = graph.relu_layers(attended, policy.context_layers)
     first, *between, last = policy.mode_layers
     weight, size = np.asarray(first.weight).T, np.asarray(policy.encoder.target_layers[-1].bias).size
-    told = graph("Add", graph("MatMul", context, weight[size:]), np.asarray(first.bias))
-    hidden = graph("Add", graph("MatMul", targets, weight[:size]), graph("Unsqueeze", told, [1]))
-    numbers = graph.dense(graph.chain(graph("Relu", hidden), between), last)
+    # A first layer on [target, context] is the sum of one on each: the context's part is the same for all targets.
+    by_context = graph("Add", graph("MatMul", context, weight[size:]), np.asarray(first.bias))
+    hidden = graph("Add", graph("MatMul", targets, weight[:size]), graph("Unsqueeze", by_context, [1]))
+    numbers = graph.dense(graph.relu_layers(graph("Relu", hidden), between), last)
     per_mode = np.asarray(last.bias).size // policy.per_target
     numbers = graph("Reshape", numbers, [0, 0, policy.per_target, per_mode])
     present = graph("Unsqueeze", "present", [2])
