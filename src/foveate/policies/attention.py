@@ -1,4 +1,4 @@
-"""The paper's network: an embedding of the agent attends to an embedding of every target (paper, section 3.2)."""
+"""Attention policy, the paper's network: the agent's embedding attends to those of the targets (paper, section 3.2)."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -18,15 +18,15 @@ from foveate.types import Action, Key
 
 @dataclass(frozen=True, kw_only=True)
 class AttentionSettings:
-    """The paper's network: widths of its layers, alpha, and the frame of its inputs.
+    """Settings of the paper's network.
 
-    Positions enter in units of `length_m` (the paper: metres): a world far larger than a metre would saturate the
-    attention of a fresh network. `information` says on which scale information matrices enter (the paper: plain).
+    Positions enter in units of `length_m` (the paper: metres): distances of many units would saturate the attention of
+    an untrained network. `information` is the scale on which information matrices enter (the paper: plain).
     """
 
     kind: Literal["attention"] = "attention"
     frame: Frame = "body"
-    """Whose frame its inputs are in."""
+    """Frame of its inputs: the agent's body, or the world."""
     agent_widths: tuple[int, ...] = (32, 32)
     """Layers on the pose."""
     target_widths: tuple[int, ...] = (64, 32)
@@ -34,7 +34,7 @@ class AttentionSettings:
     out_widths: tuple[int, ...] = (64,)
     """Layers before the command."""
     alpha: float = 4.0
-    """What the scores of the attention are divided by."""
+    """Divisor of the attention scores."""
     length_m: float = 1.0
     information: Scale = "plain"
 
@@ -52,7 +52,7 @@ class AttentionSettings:
                 raise InputError(f"{name} = {getattr(self, name)}: expected > 0")
 
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
-        """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
+        """A network with random weights, sized for the problem's space, targets and actuated axes."""
         d, n_y = problem.agent.space.dimension, problem.motion.state_size
         if self.frame == "body" and not problem.motion.begins_with_position:
             raise InputError(
