@@ -281,7 +281,7 @@ def test_a_beginning_that_was_killed_is_begun_again(tmp_path):
     (run / METRICS).write_bytes(b"")
     (run / "checkpoint" / ".0123456789abcdef.tmp").write_bytes(b"half")
     require_free(run, MODEL)
-    with pytest.raises(ValueError, match=rf"{run}: holds no training to go on with: begin one, with --out {run}"):
+    with pytest.raises(ValueError, match=rf"{run}: holds no training to resume: begin one, with --out {run}"):
         stored_run(run)
     (run / "thesis.tex").write_text("mine")
     with pytest.raises(ValueError, match="exists already"):

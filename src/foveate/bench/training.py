@@ -38,7 +38,7 @@ from foveate.policies.attention import AttentionPolicy
 from foveate.scenario.scenes import SceneSettings
 
 EPISODES_PER_CALL = 1200
-"""Episodes in a timed call of the training program, about: so many that the call's own overhead does not show."""
+"""Episodes in a timed call of the training program, about: enough that the call's own overhead does not show."""
 
 
 PAPER_EPISODES = 60

@@ -67,7 +67,7 @@ def claim(out: Path, experiment: Experiment) -> None:
 def require_free(out: Path, experiment: Experiment) -> None:
     """Raise InputError where a run, or something else, is there already."""
     if out.exists() and not _is_free(out):
-        resume = "" if isinstance(experiment.training, PPOSettings) else f", or go on with --resume {out}"
+        resume = "" if isinstance(experiment.training, PPOSettings) else f", or resume it with --resume {out}"
         raise InputError(f"{out}: exists already: choose another --out{resume}")
 
 

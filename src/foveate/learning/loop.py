@@ -84,7 +84,7 @@ def _begin(problem: Problem, policy: Policy, training: TrainingSettings | ActorC
     if isinstance(training, ActorCriticSettings):
         return actor_critic.begin(problem, policy, training, jax.random.fold_in(key, 1))
     if isinstance(policy, PointerPolicy):
-        raise InputError("policy.kind = 'pointer': expected training.algorithm = 'actor-critic', which tries its modes")
+        raise InputError("policy.kind = 'pointer': expected training.algorithm = 'actor-critic', which samples modes")
     return policy_gradient.begin(policy, training)
 
 

@@ -62,10 +62,10 @@ class RunFiles:
 def stored_run(run: Path) -> tuple[Experiment, int]:
     """Read the experiment and the seed that a run folder was trained with, to resume it."""
     if not (run / CONFIG).exists():
-        raise InputError(f"{run}: holds no training to go on with: begin one, with --out {run}")
+        raise InputError(f"{run}: holds no training to resume: begin one, with --out {run}")
     experiment = load_toml(Experiment, run / CONFIG)
     if isinstance(experiment.training, PPOSettings):
-        raise InputError(f"{run}: was trained by PPO, which does not go on where it stopped: train anew")
+        raise InputError(f"{run}: was trained by PPO, which cannot be resumed: train again")
     header, _ = load_arrays(run / LAST, "training", VERSION)
     return experiment, int(header["facts"]["seed"])
 
@@ -106,7 +106,7 @@ def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
         return int(json.loads(lines[i])["epoch"])
     except (ValueError, KeyError, TypeError) as error:
         if i < len(lines) - 1:
-            raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to go on without it") from error
+            raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to resume without it") from error
         return float("inf")
 
 
