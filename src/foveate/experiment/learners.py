@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from foveate.errors import InputError
 from foveate.io.validate import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.simulation.records import Backpropagation, Protocol
@@ -36,8 +35,8 @@ class LearningSettings(ValidationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.softness or min(kappa for _, kappa in self.softness) <= 0:
-            raise InputError(f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0")
+        smallest = min((kappa for _, kappa in self.softness), default=0.0)
+        require(smallest > 0, "softness", self.softness, "expected at least one (offset, kappa) with kappa > 0")
 
     @property
     def protocol(self) -> Protocol:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from foveate.errors import InputError
+from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.information import Future, score
@@ -44,14 +44,11 @@ class PlanSettings:
 
     def __post_init__(self) -> None:
         for name, least in (("starts", 1), ("iterations", 0), ("annealed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name} = {getattr(self, name)}: expected >= {least}")
-        for name in ("learning_rate", "gradient_bound"):
-            if getattr(self, name) <= 0:
-                raise InputError(f"{name} = {getattr(self, name)}: expected > 0")
+            require(getattr(self, name) >= least, name, getattr(self, name), f"expected >= {least}")
+        positive(self, "learning_rate", "gradient_bound")
         for name in ("first", "last", "keep"):
-            if (level := getattr(self, name)) is not None and level[1] <= 0:
-                raise InputError(f"{name} = {level}: expected (offset, kappa) with kappa > 0")
+            level = getattr(self, name)
+            require(level is None or level[1] > 0, name, level, "expected (offset, kappa) with kappa > 0")
 
 
 PAPER = (PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa)

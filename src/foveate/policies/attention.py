@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from foveate.errors import InputError
 from foveate.geometry.space import Space
+from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import Frame, Scale, policy_inputs
 from foveate.policies.layers import fresh_layers, masked_softmax
@@ -41,15 +42,11 @@ class AttentionSettings:
     def __post_init__(self) -> None:
         for name in ("agent_widths", "target_widths", "out_widths"):
             widths = getattr(self, name)
-            if not widths or min(widths) < 1:
-                raise InputError(f"{name} = {widths}: expected at least one width, each >= 1")
-        if self.agent_widths[-1] != self.target_widths[-1]:
-            raise InputError(
-                f"target_widths = {self.target_widths}: expected to end in {self.agent_widths[-1]} as agent_widths does"
-            )
-        for name in ("alpha", "length_m"):
-            if getattr(self, name) <= 0:
-                raise InputError(f"{name} = {getattr(self, name)}: expected > 0")
+            require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
+        embedding = self.agent_widths[-1]
+        right = f"expected to end in {embedding} as agent_widths does"
+        require(self.target_widths[-1] == embedding, "target_widths", self.target_widths, right)
+        positive(self, "alpha", "length_m")
 
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
         """A network with random weights, sized for the problem's space, targets and actuated axes."""

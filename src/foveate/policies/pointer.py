@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from foveate.errors import InputError
 from foveate.geometry.space import Space
+from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import pointer_feature_count, pointer_features
 from foveate.policies.layers import Layers, fresh_layers, masked_softmax
@@ -48,13 +48,10 @@ class PointerSettings:
     def __post_init__(self) -> None:
         for name in ("target_widths", "context_widths", "mode_widths"):
             widths = getattr(self, name)
-            if not widths or min(widths) < 1:
-                raise InputError(f"{name} = {widths}: expected at least one width, each >= 1")
+            require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
         for name in ("heads", "modes"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)}: expected >= 1")
-        if self.length_m <= 0:
-            raise InputError(f"length_m = {self.length_m}: expected > 0")
+            require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        positive(self, "length_m")
 
     def policy(self, problem: Problem, key: Key) -> "PointerPolicy":
         """A network with random weights, sized for the problem's space, targets and actuated axes."""

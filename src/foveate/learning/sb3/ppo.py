@@ -63,6 +63,7 @@ class _Validator:
 
         policy = to_jax(cast(ActorAndCritic, model.policy).actor, self.problem, network_of(self.files.experiment))
         held_out, at_limit = (float(x) for x in self.score_of(policy))
+        # Weights that are not finite may give a finite score all the same, by tanh and the limits of the agent.
         finite = _is_finite(model) and math.isfinite(held_out)
         best = finite and held_out > self.best_score
         ended = time.perf_counter()
@@ -150,6 +151,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
         environment, network_of(experiment), training.environments, jax.random.key(seed), training.reward_scale
     )
     rate = training.learning_rate
+    # The last rollout may pass the number of steps: the share left, which the schedule follows, then falls below 0.
     return PPO(
         ActorAndCritic,
         vec_env,
