@@ -264,7 +264,7 @@ def test_ppo_trains_a_run_that_evaluates(
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     assert main(["evaluate", str(run), "--scenes", str(scenes), "--json", str(tmp_path / "out.json")]) == 0
     check_contract("evaluate", tmp_path / "out.json")
-    assert "does not go on" in failure(capsys, "train", "--resume", str(run))
+    assert "cannot be resumed" in failure(capsys, "train", "--resume", str(run))
     assert "expected steps" in failure(capsys, *train, "--epochs", "3", "--out", str(tmp_path / "x"))
     assert "pip install 'foveate[ppo]'" in failure(capsys, *train, "--out", str(tmp_path / "x"))
     assert not (tmp_path / "x").exists()

@@ -16,7 +16,7 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.learning import actor_critic
 from foveate.learning.actor_critic import Samples, advantages, entropy, gather, log_density, loss, sample_trajectory
 from foveate.learning.loop import train
-from foveate.learning.validation import held_out_episodes, judge
+from foveate.learning.validation import held_out_episodes, validate
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import Modes, PointerSettings
 from foveate.scenario.scenario import Scenario
@@ -180,14 +180,14 @@ def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_e
 def test_learns(tmp_path):
     """That it goes on as if undisturbed is in test_killed.py."""
     checks = []
-    outcome = train(TINY, tmp_path / "a", seed=3, report=lambda check, total: checks.append(check))
+    outcome = train(TINY, tmp_path / "a", seed=3, on_validation=lambda check, total: checks.append(check))
     assert outcome.epochs == 40
     assert checks[-1].held_out > checks[0].held_out + 0.3, "a tiny problem must be learned"
     assert abs(checks[-1].objective - checks[-1].held_out) < 1.5, "both are scores"
     experiment, policy, _ = load_run(tmp_path / "a")
     problem, keys = TINY.scenario.problem(), jax.random.split(jax.random.key(3), 4)
     episodes = held_out_episodes(TINY, problem, keys[1])
-    score, _ = eqx.filter_jit(lambda policy: judge(TINY, problem, policy, episodes, keys[3]))(policy)
+    score, _ = eqx.filter_jit(lambda policy: validate(TINY, problem, policy, episodes, keys[3]))(policy)
     assert experiment == TINY
     np.testing.assert_allclose(float(score), outcome.best_score, rtol=1e-5)
 

@@ -83,7 +83,7 @@ def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
         train(
             TINY,
             tmp_path / "one",
-            report=lambda check, total: precisions.append(jax.config.jax_default_matmul_precision),
+            on_validation=lambda check, total: precisions.append(jax.config.jax_default_matmul_precision),
         )
         assert precisions == ["highest"], "on an accelerator, too"
         _, complaint = process.communicate(timeout=PATIENCE_S)
@@ -199,10 +199,10 @@ def test_only_the_first_process_writes_the_run_folder(monkeypatch, tmp_path):
 
 def test_processes_agree_on_what_the_first_says(monkeypatch):
     numbers = (0.1, -3.0, float("inf"))
-    assert devices.agreed(*numbers) == numbers
+    assert devices.from_first_process(*numbers) == numbers
     monkeypatch.setattr(jax, "process_count", lambda: 2)
     monkeypatch.setattr(devices.multihost_utils, "broadcast_one_to_all", lambda told: told)
-    assert devices.agreed(*numbers) == numbers, "bit for bit, in float32 too"
+    assert devices.from_first_process(*numbers) == numbers, "bit for bit, in float32 too"
 
 
 def test_who_fails_on_several_devices_is_lost_only_among_several_processes(monkeypatch):

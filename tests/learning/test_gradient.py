@@ -23,11 +23,11 @@ EPISODE = training_episode(PROBLEM, SCENARIO.scenes, jax.random.key(4), noise=Fa
 KEY = jax.random.key(0)
 
 
-@pytest.mark.parametrize("together", [1, 4, 7, 11, 100])
-def test_however_a_batch_is_cut_up_mean_and_gradient_are_the_same(together):
+@pytest.mark.parametrize("micro_batch", [1, 4, 7, 11, 100])
+def test_however_a_batch_is_cut_up_mean_and_gradient_are_the_same(micro_batch):
     """Of (a x - y)^2, by hand: the derivative in a is the mean of 2 x (a x - y)."""
     x, y = np.random.default_rng(0).normal(size=(2, 11))
-    value, gradient = mean_and_gradient(lambda a, xy: (a * xy[0] - xy[1]) ** 2, jnp.array(0.7), (x, y), together)
+    value, gradient = mean_and_gradient(lambda a, xy: (a * xy[0] - xy[1]) ** 2, jnp.array(0.7), (x, y), micro_batch)
     np.testing.assert_allclose(value, np.mean((0.7 * x - y) ** 2), rtol=1e-12)
     np.testing.assert_allclose(gradient, np.mean(2 * x * (0.7 * x - y)), rtol=1e-12)
 

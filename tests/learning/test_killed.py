@@ -26,6 +26,7 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, require_free
 from foveate.io.toml import dumps_toml
 from foveate.learning import loop as training
+from foveate.learning.run_files import RunFiles, stored_run
 from foveate.learning.train import train
 
 KILLS = 20
@@ -127,7 +128,7 @@ def arrays(path):
         return {name: found[name].tobytes() for name in found.files if name != "header"}
 
 
-def policy_features(run):
+def untimed(run):
     lines = [json.loads(line) for line in (run / METRICS).read_text().splitlines()]
     return [{k: v for k, v in line.items() if k not in ("elapsed_s", "epochs_per_s")} for line in lines]
 
@@ -160,7 +161,7 @@ def same_runs(one, other):
     for path in (CONFIG, BEST):
         assert (one / path).read_bytes() == (other / path).read_bytes()
     assert arrays(one / LAST) == arrays(other / LAST)
-    assert policy_features(one) == policy_features(other)
+    assert untimed(one) == untimed(other)
     assert not list(one.rglob("*.tmp")), "nothing lies about"
 
 
@@ -200,15 +201,15 @@ def by_keyboard():
 
 @pytest.mark.usefixtures("by_keyboard")
 def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, capsys):
-    run, config, kept = tmp_path / "run", tmp_path / "experiment.toml", training._keep
+    run, config, save = tmp_path / "run", tmp_path / "experiment.toml", RunFiles.save
     config.write_text(dumps_toml(MODEL))
 
     def interrupted(*arguments):
         if checks(run) == 4:
             signal.raise_signal(signal.SIGINT)  # before anything of the fifth check is written
-        kept(*arguments)
+        save(*arguments)
 
-    monkeypatch.setattr(training, "_keep", interrupted)
+    monkeypatch.setattr(RunFiles, "save", interrupted)
     assert main(["train", "--config", str(config), "--seed", "3", "--out", str(run)]) == 130
     said = capsys.readouterr().err
     assert "when the check that is under way is saved" in said
@@ -223,7 +224,7 @@ def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, 
 def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
     run, config = tmp_path / "run", tmp_path / "experiment.toml"
     config.write_text(dumps_toml(MODEL))
-    monkeypatch.setattr(training, "_keep", lambda *arguments: [signal.raise_signal(signal.SIGINT) for _ in range(2)])
+    monkeypatch.setattr(RunFiles, "save", lambda *arguments: [signal.raise_signal(signal.SIGINT) for _ in range(2)])
     assert main(["train", "--config", str(config), "--out", str(run)]) == 130
     assert f"foveate train --resume {run}\n" in capsys.readouterr().err
     assert checks(run) == 0
@@ -231,7 +232,7 @@ def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
 
 def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, capsys):
     """For real: no file may grow beyond what fits the first checks."""
-    run, config, kept = tmp_path / "run", tmp_path / "experiment.toml", training._keep
+    run, config, save = tmp_path / "run", tmp_path / "experiment.toml", RunFiles.save
     config.write_text(dumps_toml(MODEL))
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = []
@@ -240,9 +241,9 @@ def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, capsys):
         if checks(run) == 3:
             before.extend([(run / path).read_bytes() for path in (BEST, LAST)])
             resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limit[1]))
-        kept(*arguments)
+        save(*arguments)
 
-    monkeypatch.setattr(training, "_keep", full)
+    monkeypatch.setattr(RunFiles, "save", full)
     try:
         assert main(["train", "--config", str(config), "--seed", "3", "--out", str(run)]) == 2
     finally:
@@ -280,8 +281,8 @@ def test_a_beginning_that_was_killed_is_begun_again(tmp_path):
     (run / METRICS).write_bytes(b"")
     (run / "checkpoint" / ".0123456789abcdef.tmp").write_bytes(b"half")
     require_free(run, MODEL)
-    with pytest.raises(ValueError, match=rf"{run}: holds no training to go on with: begin one, with --out {run}"):
-        training.stored_run(run)
+    with pytest.raises(ValueError, match=rf"{run}: holds no training to resume: begin one, with --out {run}"):
+        stored_run(run)
     (run / "thesis.tex").write_text("mine")
     with pytest.raises(ValueError, match="exists already"):
         train(MODEL, run)

@@ -14,10 +14,11 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import TrainingSettings
 from foveate.experiment.run_folder import BEST, LAST, METRICS
 from foveate.learning import loop as training
-from foveate.learning.learner import Learner, Report
-from foveate.learning.loop import COLLAPSED_VALIDATIONS, ROLLBACKS, Progress, train
+from foveate.learning.learner import EpochReport
+from foveate.learning.loop import train
 from foveate.learning.policy_gradient import begin
-from foveate.learning.validation import judge
+from foveate.learning.selection import Progress
+from foveate.learning.validation import held_out_episodes, validate
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -52,7 +53,7 @@ def lines(run):
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     run, checks = tmp_path_factory.mktemp("runs") / "a", []
-    outcome = train(TINY, run, seed=3, report=lambda check, total: checks.append((check, total)))
+    outcome = train(TINY, run, seed=3, on_validation=lambda check, total: checks.append((check, total)))
     return run, outcome, checks
 
 
@@ -77,8 +78,8 @@ def test_learns_and_tells(undisturbed):
     assert facts["held_out"] == outcome.best_score
     keys = jax.random.split(jax.random.key(3), 4)
     problem = TINY.scenario.problem()
-    episodes = training.held_out_episodes(TINY, problem, keys[1])
-    score, _ = eqx.filter_jit(lambda p: judge(TINY, problem, p, episodes, keys[3]))(policy)
+    episodes = held_out_episodes(TINY, problem, keys[1])
+    score, _ = eqx.filter_jit(lambda p: validate(TINY, problem, p, episodes, keys[3]))(policy)
     assert float(score) == outcome.best_score, "the file holds the policy that earned the score"
     assert list(run.glob("events*")), "TensorBoard reads the run folder"
 
@@ -87,7 +88,7 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     """Also: the same seed twice gives the same bytes, since the first half is trained again from nothing."""
     run, outcome, _ = undisturbed
     with pytest.raises(Interrupted):
-        train(TINY, tmp_path / "b", seed=3, report=interrupted_after(2))
+        train(TINY, tmp_path / "b", seed=3, on_validation=interrupted_after(2))
     with (tmp_path / "b" / METRICS).open("a") as file:
         file.write('{"epoch": 30, "obj')  # a line that was cut by the interruption
     before = (tmp_path / "b" / BEST).read_bytes()
@@ -127,7 +128,7 @@ def test_a_training_that_explodes_from_the_start(monkeypatch, tmp_path):
 
     monkeypatch.setattr(training, "_begin", begin_badly)
     checks = []
-    outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
+    outcome = train(TINY, tmp_path / "r", seed=3, on_validation=lambda check, total: checks.append(check))
     assert "not finite" in outcome.stopped
     assert [check.event for check in checks] == ["not finite"]
     assert outcome.epochs == 0, "epochs that are not finite change nothing, and do not count"
@@ -148,81 +149,13 @@ class Constant(Policy):
         return jnp.full(2, jnp.tanh(self.weight)), memory
 
 
-def learner(weight, epoch):
-    made = begin(Constant(jnp.array(float(weight))), TINY.training)
-    return Learner(made.policy, made.optimizer, jnp.array(epoch))
-
-
-def progress(best=1.0, best_epoch=10, below=0, rollbacks=0):
-    counts = (jnp.array(x) for x in (best_epoch, below, rollbacks))
-    return Progress(learner(0.2, 20), learner(0.1, best_epoch), jnp.array(float(best)), *counts)
-
-
-def weight(of):
-    return float(of.policy.weight)
-
-
-def test_next_keeps_a_better_policy():
-    after, event, stop = training._next(progress(below=3), learner(0.3, 30), 1.5, 0.1, True, TINY.training)
-    assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.3, 0.3, 1.5)
-    assert (int(after.best_epoch), int(after.below), event, stop) == (30, 0, "", "")
-
-
-def test_next_goes_on_from_a_worse_policy():
-    after, event, stop = training._next(progress(), learner(0.3, 30), 0.9, 0.1, True, TINY.training)
-    assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.3, 0.1, 1.0)
-    assert (int(after.best_epoch), int(after.below), event, stop) == (10, 0, "", "")
-
-
-def test_next_returns_to_the_best_from_the_limits():
-    """All commands at their limits: no gradient leads back; even a score that is better is not trusted."""
-    for score in (-1.0, 2.0):
-        after, event, stop = training._next(progress(), learner(9.0, 30), score, 0.95, True, TINY.training)
-        assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
-        assert int(after.learner.epoch) == 30, "the way back is walked on other scenes"
-        assert (int(after.best_epoch), int(after.rollbacks), stop) == (10, 1, "")
-        assert "95% of commands at a limit" in event
-        assert "epoch 10" in event
-
-
-def test_next_returns_after_many_checks_far_below_the_best():
-    now, events = progress(best=3.0), []
-    for k in range(COLLAPSED_VALIDATIONS):
-        now, event, stop = training._next(now, learner(0.5, 30 + k), 1.9, 0.0, True, TINY.training)
-        events.append(bool(event))
-        assert stop == ""
-    assert events == [False] * (COLLAPSED_VALIDATIONS - 1) + [True]
-    assert weight(now.learner) == 0.1
-    assert (int(now.below), int(now.rollbacks)) == (0, 1)
-    now = progress(best=3.0, below=COLLAPSED_VALIDATIONS - 1)
-    after, event, _ = training._next(now, learner(0.5, 30), 2.1, 0.0, True, TINY.training)
-    assert (int(after.below), event) == (0, ""), "one check that is not far below ends the row"
-
-
-def test_next_gives_up_after_some_returns_and_before_anything_was_learned_goes_on():
-    _, event, stop = training._next(progress(rollbacks=ROLLBACKS), learner(9.0, 30), 0.0, 1.0, True, TINY.training)
-    assert event
-    assert "collapsed" in stop
-    after, event, stop = training._next(
-        progress(best=-math.inf, best_epoch=0), learner(9.0, 30), 0.0, 1.0, True, TINY.training
-    )
-    assert (weight(after.learner), event, stop) == (9.0, "", "")
-
-
-def test_next_stops_where_a_number_is_not_finite():
-    after, event, stop = training._next(progress(), learner(math.nan, 30), 5.0, 0.0, False, TINY.training)
-    assert (weight(after.learner), weight(after.best), float(after.best_score)) == (0.1, 0.1, 1.0)
-    assert event == "not finite"
-    assert "epoch 30" in stop
-
-
 def test_a_policy_at_its_limits_is_seen_as_such():
-    """Really judged: all commands at the limits for a saturated policy, none for one in the middle."""
+    """All commands at the limits for a saturated policy, none for one in the middle."""
     problem = TINY.scenario.problem()
-    episodes = training.held_out_episodes(TINY, problem, jax.random.key(0))
+    episodes = held_out_episodes(TINY, problem, jax.random.key(0))
     places = (episodes.mean, episodes.truth.state)
     far = eqx.tree_at(lambda e: (e.mean, e.truth.state), episodes, tuple(x + 1e4 for x in places))
-    look = eqx.filter_jit(lambda p: judge(TINY, problem, p, far, jax.random.key(1)))
+    look = eqx.filter_jit(lambda p: validate(TINY, problem, p, far, jax.random.key(1)))
     for weight_, share in [(9.0, 1.0), (-9.0, 1.0), (0.1, 0.0)]:
         score, at_limit = look(Constant(jnp.array(weight_)))
         assert float(at_limit) == share
@@ -231,7 +164,7 @@ def test_a_policy_at_its_limits_is_seen_as_such():
 
 
 def stubbed(monkeypatch, script):
-    """`train` with learning and judging replaced by a list of (weight, score, share at a limit, finite)."""
+    """`train` with learning and validation replaced by a list of (weight, score, share at a limit, finite)."""
     steps = iter(script)
 
     def advance(count, learner_, key):
@@ -240,17 +173,17 @@ def stubbed(monkeypatch, script):
         after = eqx.tree_at(
             lambda x: (x.policy, x.epoch), learner_, (moved_policy(learner_, moved), learner_.epoch + count)
         )
-        judged.append(rest[:2])
-        return after, Report(jnp.array(1.0), jnp.array(1.0 if rest[2] else jnp.inf), jnp.array(rest[2]))
+        validated.append(rest[:2])
+        return after, EpochReport(jnp.array(1.0), jnp.array(1.0 if rest[2] else jnp.inf), jnp.array(rest[2]))
 
     def moved_policy(learner_, value):
         return jax.tree.map(lambda x: jnp.full_like(x, value) if eqx.is_array(x) else x, learner_.policy)
 
-    judged, keys = [], {}
+    validated, keys = [], {}
     monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
     monkeypatch.setattr(training, "held_out_episodes", lambda experiment, problem, key: keys.update(held_out=key))
     monkeypatch.setattr(training, "advance_of", lambda experiment, problem: advance)
-    monkeypatch.setattr(training, "judge", lambda *args: [jnp.array(x) for x in judged[-1]])
+    monkeypatch.setattr(training, "validate", lambda *args: [jnp.array(x) for x in validated[-1]])
     return keys
 
 
@@ -276,7 +209,7 @@ def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
         monkeypatch, [(1.0, 2.0, 0.0, True), (9.0, 0.0, 1.0, True), (3.0, 2.5, 0.0, True), (4.0, 2.4, 0.0, True)]
     )
     checks = []
-    outcome = train(TINY, tmp_path / "r", seed=3, report=lambda check, total: checks.append(check))
+    outcome = train(TINY, tmp_path / "r", seed=3, on_validation=lambda check, total: checks.append(check))
     assert [bool(check.event) for check in checks] == [False, True, False, False]
     assert [check.epoch for check in checks] == [10, 20, 30, 40]
     assert (outcome.rollbacks, outcome.best_epoch, outcome.best_score) == (1, 30, 2.5)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
 from foveate.experiment.presets import QUADROTOR
-from foveate.policies.pointer import NEVER, PointerSettings
+from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.target import LinearTarget
 from foveate.simulation.records import Observation
@@ -106,7 +106,9 @@ def test_padding_and_order_do_not_matter(name):
     padded = seen(name, turn, place, *(part[order] for part in targets), order < 4)
     np.testing.assert_allclose(decide(policy, padded), expected, atol=1e-12)
     weight = modes_of(policy, padded).log_weight
-    np.testing.assert_array_equal(np.asarray(weight[:-1]).reshape(6, 2) == NEVER, np.stack([order >= 4] * 2, 1))
+    np.testing.assert_array_equal(
+        np.asarray(weight[:-1]).reshape(6, 2) == PADDING_LOG_WEIGHT, np.stack([order >= 4] * 2, 1)
+    )
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -1,1 +1,1 @@
-"""What `foveate bench` measures."""
+"""Benchmarks: the measurements of `foveate bench`."""

@@ -1,7 +1,7 @@
-"""How programs are timed: metrics with unit and direction, medians of repeats, yardsticks, compilations counted.
+"""Time programs: medians of repeats as metrics with unit and direction, reference rates, and counted compilations.
 
-A number of seconds says little about another machine. Beside it stands its `ratio` to a yardstick that was measured in
-the same run: how many of the machine's own large matrix products, or of its own plain Python, fit into that time.
+Seconds of one machine say little about another. Every metric therefore has a `ratio` to a reference that was measured
+in the same run: how much of a large matrix product, or of plain Python, the machine does in that time.
 """
 
 import contextlib
@@ -16,23 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-WIDE = 0.25
-"""A spread of repeats (half of them lie in this share of the median) from which on a number is not to be trusted."""
+MAX_SPREAD = 0.25
+"""Spread of repeats above which a median is not to be trusted: the middle half of them differs by this share of it."""
 
 
-MATRIX = {"cpu": 2048}
-"""Side of the matrix product that is the yardstick; on accelerators OTHER_MATRIX."""
+CPU_MATRIX, ACCELERATOR_MATRIX = 2048, 8192
+"""Side of the matrix product that is the reference: large enough for the full rate, and short."""
 
 
-OTHER_MATRIX = 8192
-
-
-_COMPILED = "/jax/core/compile/backend_compile_duration"
+_COMPILATION_EVENT = "/jax/core/compile/backend_compile_duration"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One number of a benchmark; `spread` is that of its repeats, `per` the yardstick that its ratio is taken to."""
+    """One number of a benchmark; `spread` is that of its repeats, `per` the reference of its ratio."""
 
     key: str
     value: float
@@ -43,14 +40,14 @@ class Metric:
 
     @property
     def is_wide(self) -> bool:
-        """Whether the repeats differ too much."""
-        return self.spread > WIDE
+        """True where the repeats differ too much."""
+        return self.spread > MAX_SPREAD
 
-    def ratio(self, yardsticks: dict[str, float]) -> float:
-        """The value in units of its yardstick, operations a second: free of how fast the machine is as a whole."""
+    def ratio(self, references: dict[str, float]) -> float:
+        """The value in units of its reference, operations per second: the same on a machine that is faster in all."""
         if self.per is None:
             return self.value
-        rate = yardsticks[self.per]
+        rate = references[self.per]
         return {"s": self.value * rate, "us": 1e-6 * self.value * rate, "1/s": self.value / rate}[self.unit]
 
 
@@ -58,6 +55,23 @@ def spread(seconds: Sequence[float] | np.ndarray) -> float:
     """The distance between the quartiles, as a share of the median."""
     low, middle, high = np.percentile(seconds, (25, 50, 75))
     return float((high - low) / middle)
+
+
+def time_metric(
+    key: str,
+    seconds: Sequence[float] | np.ndarray,
+    unit: Literal["s", "us"] = "s",
+    per: Literal["matmul", "python"] = "python",
+) -> Metric:
+    """The median time of a call from the seconds of its repeats."""
+    value = float(np.median(seconds)) * {"s": 1.0, "us": 1e6}[unit]
+    return Metric(key=key, value=value, unit=unit, better="lower", per=per, spread=spread(seconds))
+
+
+def rate_metric(key: str, count: int | float, seconds: Sequence[float] | np.ndarray) -> Metric:
+    """The median rate of a call that does `count` things, from the seconds of its repeats."""
+    value = count / float(np.median(seconds))
+    return Metric(key=key, value=value, unit="1/s", better="higher", per="matmul", spread=spread(seconds))
 
 
 def timed(call: Callable[[], Any]) -> float:
@@ -68,7 +82,7 @@ def timed(call: Callable[[], Any]) -> float:
 
 
 def in_turn(calls: Sequence[Callable[[], Any]], repeats: int) -> np.ndarray:
-    """Wall times [s], repeats x calls: after a warm-up one call after the other, so that a busy machine slows all."""
+    """Wall times [s], repeats x calls, after a warm-up. Calls alternate: other work on the machine slows all alike."""
     for call in calls:
         jax.block_until_ready(call())
     return np.array([[timed(call) for call in calls] for _ in range(repeats)])
@@ -77,14 +91,14 @@ def in_turn(calls: Sequence[Callable[[], Any]], repeats: int) -> np.ndarray:
 @functools.cache
 def matrix_product() -> tuple[Callable[[], jax.Array], float]:
     """A large float32 matrix product on one device, and its floating-point operations."""
-    size = MATRIX.get(jax.default_backend(), OTHER_MATRIX)
+    size = CPU_MATRIX if jax.default_backend() == "cpu" else ACCELERATOR_MATRIX
     matrix = jnp.ones((size, size), jnp.float32)
     product = jax.jit(lambda a, b: jnp.matmul(a, b, precision="highest"))
     return lambda: product(matrix, matrix), 2.0 * size**3
 
 
 def plain_python(loops: int = 100_000) -> int:
-    """What plain Python is measured by, on one core."""
+    """The reference of plain Python, on one core."""
     total = 0
     for i in range(loops):
         total = (total + i * i) % 9973
@@ -92,7 +106,7 @@ def plain_python(loops: int = 100_000) -> int:
 
 
 def measure_references(repeats: int) -> dict[str, float]:
-    """Rate of each yardstick [1/s]: floating-point operations of a matrix product, rounds of a Python loop."""
+    """Rate of each reference [1/s]: floating-point operations of a matrix product, rounds of a Python loop."""
     product, operations = matrix_product()
     loops = 100_000
     seconds = np.median(in_turn([product, lambda: plain_python(loops)], repeats), axis=0)
@@ -101,23 +115,23 @@ def measure_references(repeats: int) -> dict[str, float]:
 
 @contextlib.contextmanager
 def compilations() -> Iterator[list[float]]:
-    """The seconds of each compilation that happens inside, in the order in which they end."""
-    found: list[float] = []
+    """The seconds of each compilation inside the context, in the order in which they end."""
+    compiled: list[float] = []
 
     def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         del kwargs
-        if event == _COMPILED:
-            found.append(duration_secs)
+        if event == _COMPILATION_EVENT:
+            compiled.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        yield found
+        yield compiled
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def peak_memory_mib() -> float:
-    """The most memory that this process, or on an accelerator the first device, has held so far [MiB]."""
+    """Peak memory of this process, or of the first device where that is an accelerator, so far [MiB]."""
     facts = jax.local_devices()[0].memory_stats()
     if facts and "peak_bytes_in_use" in facts:
         return facts["peak_bytes_in_use"] / 2**20

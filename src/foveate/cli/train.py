@@ -103,7 +103,7 @@ class Train:
         """Train in this process."""
         import sys
 
-        from foveate.learning.loop import stored_run
+        from foveate.learning.run_files import stored_run
 
         if self.resume is not None:
             self._reject_with_resume()

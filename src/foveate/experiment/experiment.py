@@ -1,4 +1,4 @@
-"""What defines a training, as it stands in `config.toml`: the scenario, the policy and its learner."""
+"""The experiment: scenario, policy and learner of a training, as in `config.toml`."""
 
 from dataclasses import dataclass, field, fields, replace
 
@@ -11,32 +11,31 @@ from foveate.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One run: scenario, policy, training."""
+    """Everything that defines one training run."""
 
     scenario: Scenario = field(default_factory=Scenario)
     policy: AttentionSettings | PointerSettings = field(default_factory=AttentionSettings)
     training: TrainingSettings | PPOSettings | ActorCriticSettings = field(default_factory=TrainingSettings)
 
 
-REACH = 2.5
-"""Unit of length of a pointer network, in depths of the view."""
+POINTER_LENGTH_DEPTHS = 2.5
+"""Unit of length of a pointer network in depths of the view: the preset's, 5 m for a view of 2 m, at any scale."""
 
 
 def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings | ActorCriticSettings) -> Experiment:
-    """The experiment with another learner, judged alike, and under the same softness and noise if it has them.
+    """Replace the learner of an experiment, keeping how it is validated, its objective, and its softness and noise.
 
-    A learner that cannot train the experiment's network comes with one that it can. PPO is always after log det at the
-    horizon: raises ValueError for an experiment with another objective.
+    A learner that cannot train the experiment's network comes with one that it can. Raises InputError where PPO, which
+    maximises log det at the horizon, would replace a learner with another objective.
     """
-    now = experiment.training
-    if isinstance(learner, PPOSettings) and now.objective != "terminal":
-        raise InputError(f"training.objective = {now.objective!r}: expected 'terminal', all that PPO is after")
-    names = [each.name for each in fields(LearningSettings)]
-    shared = {name: getattr(now, name) for name in names if hasattr(now, name) and hasattr(learner, name)}
-    if not isinstance(learner, PPOSettings):
-        shared["objective"] = now.objective
-    policy = experiment.policy
-    if isinstance(learner, ActorCriticSettings) != isinstance(policy, PointerSettings):
-        pointer = PointerSettings(kind="pointer", length_m=REACH * float(experiment.scenario.view.depth_m))
-        policy = pointer if isinstance(learner, ActorCriticSettings) else AttentionSettings()
-    return replace(experiment, policy=policy, training=replace(learner, **shared))
+    old = experiment.training
+    if isinstance(learner, PPOSettings) and old.objective != "terminal":
+        raise InputError(f"training.objective = {old.objective!r}: expected 'terminal', all that PPO is after")
+    kept = {"objective", *(each.name for each in fields(LearningSettings))} & {each.name for each in fields(learner)}
+    training = replace(learner, **{name: getattr(old, name) for name in kept if hasattr(old, name)})
+    if isinstance(learner, ActorCriticSettings) == isinstance(experiment.policy, PointerSettings):
+        return replace(experiment, training=training)
+    length_m = POINTER_LENGTH_DEPTHS * float(experiment.scenario.view.depth_m)
+    pointer = PointerSettings(kind="pointer", length_m=length_m)
+    policy = pointer if isinstance(learner, ActorCriticSettings) else AttentionSettings()
+    return replace(experiment, policy=policy, training=training)

@@ -1,9 +1,8 @@
-"""How policies are trained: what each learner can be told, as it stands in `config.toml`."""
+"""Settings of the learners, as in `config.toml`."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from foveate.errors import InputError
 from foveate.io.validate import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.simulation.records import Backpropagation, Protocol
@@ -13,9 +12,7 @@ Objective = Literal["terminal", "mean", "seen"]
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationSettings:
-    """How a policy is judged while it learns, on `held_out` scenes that never train it, by the score of `select`; the
-    best is kept.
-    """
+    """Validation of a policy in training: on `held_out` scenes that never train it; the best by `select` is kept."""
 
     select: Literal["surrogate", "true"] = "surrogate"
     held_out: int = 240
@@ -26,9 +23,9 @@ class ValidationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class LearningSettings(ValidationSettings):
-    """What the learners of the soft view are after.
+    """Settings shared by the learners of the soft view.
 
-    `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: what is earned is the mean
+    `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: the objective is the mean
     over levels, and the policy sees the last. With `noise`, targets move and are measured as in the real world, means
     are corrected, and the soft view is taken at the truth; without (the paper), the mean is the truth.
     """
@@ -38,28 +35,28 @@ class LearningSettings(ValidationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.softness or min(kappa for _, kappa in self.softness) <= 0:
-            raise InputError(f"softness = {self.softness}: expected at least one (offset, kappa) with kappa > 0")
+        smallest = min((kappa for _, kappa in self.softness), default=0.0)
+        require(smallest > 0, "softness", self.softness, "expected at least one (offset, kappa) with kappa > 0")
 
     @property
     def protocol(self) -> Protocol:
-        """Where information comes from while training."""
+        """Protocol of training: the source of information."""
         return Protocol(levels=tuple(Softness(*level) for level in self.softness), at_truth=self.noise)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSettings(LearningSettings):
-    """How a policy is trained by the policy gradient.
+    """Settings of the policy gradient.
 
     One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
     `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
-    or the share of time in view ("seen"). The policy is judged every `check_every` epochs.
+    or the share of time in view ("seen"). The policy is validated every `check_every` epochs.
 
-    At most `micro_batch` episodes are simulated at once on each device (None: as have 256 targets on a CPU's core, more
-    elsewhere); this bounds memory, and changes rounding only. So does `segment`, for long horizons: of an episode only
-    the states at the beginnings of so many steps at a time are remembered, and each segment is run again on the
-    gradient's way back. With `window` the gradient is another one, bounded where horizons are long: it ends at every
-    `window` steps, so that what a decision does is followed no further than to the end of its window.
+    At most `micro_batch` episodes are simulated at once on each device (None: those of 256 targets on a core of a CPU,
+    more elsewhere); this bounds memory, and changes rounding only. So does `segment`, rematerialisation for long
+    horizons: an episode stores its state only every `segment` steps, and the backward pass simulates each segment
+    again. `window` truncates back-propagation through time, which changes the gradient, and bounds it where horizons
+    are long: it stops every `window` steps, so that an action is credited no further than to the end of its window.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"together": "micro_batch"}
@@ -90,21 +87,21 @@ class TrainingSettings(LearningSettings):
 
     @property
     def back(self) -> Backpropagation:
-        """How the gradient goes back through an episode."""
+        """Back-propagation through an episode: rematerialisation and truncation."""
         return Backpropagation(segment=self.segment, window=self.window)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PPOSettings(LearningSettings):
-    """How a policy is trained by proximal policy optimisation, model-free; the defaults are Stable-Baselines3's,
-    but for the shape of a rollout, as large (64 x 32 for 1 x 2048), and the network, which is `AttentionPolicy`.
+    """Settings of model-free proximal policy optimisation (PPO) by Stable-Baselines3.
 
-    `environments` side by side take `rollout_steps` steps each; then Adam goes over these `passes` times in
-    minibatches of `batch`; and so on for `steps` steps of environments in all. The reward is the growth of the mean
-    log det per target, times `reward_scale`; an episode's end is an end, of no value. `log_std` is the logarithm of
-    the first standard deviation of the actions' noise. With `critic_sees_time` the value network, which is thrown
-    away after training, is told the steps that are left. The learning rate is constant or falls linearly to 0. The
-    policy is judged every `check_every` steps.
+    The defaults are Stable-Baselines3's, but for the shape of a rollout, of the same size (64 x 32 for 1 x 2048), and
+    the network, which is `AttentionPolicy`. In every iteration `environments` take `rollout_steps` steps each, and Adam
+    goes over them for `passes` epochs in minibatches of `batch`, until `steps` environment steps are done in all. The
+    reward is the growth of the mean log det per target, times `reward_scale`; an episode's end is terminal, of no
+    value. `log_std` is the log of the initial action std. With `critic_sees_time` the value network, which is discarded
+    after training, has the steps left as a feature. The learning rate is constant or falls linearly to 0. The policy
+    is validated every `check_every` steps.
     """
 
     objective: ClassVar[Objective] = "terminal"
@@ -150,14 +147,14 @@ class PPOSettings(LearningSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class ActorCriticSettings(ValidationSettings):
-    """How a policy of modes is trained by trying: proximal policy optimisation on whole noisy episodes.
+    """Settings of the actor-critic: PPO of a pointer policy on whole noisy episodes.
 
-    An epoch plays `episodes` fresh episodes, shared out evenly among the `protocols`, with a mode drawn by its weight
-    and a Gaussian about its action, whose standard deviation falls linearly, epoch by epoch, from the first of `action_std`
-    towards the last, which it would reach after them;
-    then Adam goes over all steps `passes` times in `minibatches` each. What is earned is the growth of log det per
-    target ("terminal"), its mean over the steps ("mean") or the share of time in view ("seen"), undiscounted: nothing
-    is worth anything after the horizon. Both learning rates fall to 0 as a cosine.
+    An iteration (one of `epochs`) simulates `episodes` fresh episodes, split evenly among the `protocols`, sampling a
+    mode by its weight and a Gaussian about its action. The Gaussian's standard deviation falls linearly from the first
+    `action_std` towards the last, which it would reach after all iterations. Then Adam goes over all steps `passes`
+    times in `minibatches` each. The return is the growth of log det per target ("terminal"), its mean over the steps
+    ("mean") or the share of time in view ("seen"), undiscounted, with no value after the horizon. Both learning rates
+    fall to 0 as a cosine.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
@@ -165,16 +162,16 @@ class ActorCriticSettings(ValidationSettings):
     protocols: tuple[Literal["surrogate", "true"], ...] = ("true",)
     select: Literal["surrogate", "true"] = "true"
     objective: Objective = "terminal"
-    """What is earned."""
+    """The return of an episode."""
     epochs: int = 500
-    """Rounds of playing and learning."""
+    """Iterations of simulation and learning."""
     episodes: int = 256
     passes: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
-    """Of Adam, the policy's, at first."""
+    """Of Adam, the policy's, initially."""
     critic_learning_rate: float = 1e-3
-    """Of Adam, the critic's, at first."""
+    """Of Adam, the critic's, initially."""
     gradient_bound: float = 0.5
     """Of a gradient's norm."""
     action_std: tuple[float, float] = (0.4, 0.06)
@@ -185,7 +182,7 @@ class ActorCriticSettings(ValidationSettings):
     entropy_weight: float = 0.003
     """Of the modes' entropy."""
     check_every: int = 10
-    """Epochs from one judging on held-out scenes to the next."""
+    """Epochs between two validations on held-out scenes."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,9 +1,9 @@
-"""Everything that defines a run, as it stands in `config.toml`: the world, the policy and how it is trained."""
+"""Preset experiments and learners, and how to adapt them."""
 
 from dataclasses import replace
 
 from foveate.errors import InputError
-from foveate.experiment.experiment import REACH, Experiment, with_learner
+from foveate.experiment.experiment import POINTER_LENGTH_DEPTHS, Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.pointer import PointerSettings
 from foveate.scenario.agent import Quadrotor
@@ -50,7 +50,7 @@ PRESETS = {
         policy=PointerSettings(kind="pointer"),
         training=ActorCriticSettings(algorithm="actor-critic"),
     ),
-    # Where first beliefs err by as much as they claim, going to where a target is believed to be does not find it.
+    # First beliefs err by as much as they claim: a target must be searched around its mean.
     "search": Experiment(
         scenario=Scenario(
             sensor=SensorSettings(missed_detections="used"),
@@ -61,7 +61,7 @@ PRESETS = {
     ),
     "quadrotor": Experiment(
         scenario=QUADROTOR,
-        policy=PointerSettings(kind="pointer", length_m=REACH * QUADROTOR.view.depth_m),
+        policy=PointerSettings(kind="pointer", length_m=POINTER_LENGTH_DEPTHS * QUADROTOR.view.depth_m),
         training=ActorCriticSettings(algorithm="actor-critic", objective="mean"),
     ),
 }
@@ -83,13 +83,13 @@ PPO = {
         critic_sees_time=True,
     ),
 }
-"""The model-free rival: as Stable-Baselines3 comes, and tuned for this task."""
+"""The model-free baseline: with Stable-Baselines3's defaults, and tuned for this task."""
 
 
 def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
-    """A preset's network and learner for another world: all their lengths grow with the depth of the view.
+    """Use a preset's network and learner for another scenario, scaling their lengths with the depth of the view.
 
-    Raises ValueError for a preset that is not there.
+    Raises InputError for an unknown preset.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
@@ -106,7 +106,7 @@ LEARNERS = {
     "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
     **PPO,
 }
-"""What an experiment can be trained by in the place of its own learner."""
+"""Learners that can replace an experiment's own."""
 
 
 def adjusted(
@@ -116,24 +116,21 @@ def adjusted(
     episodes: int | None = None,
     steps: int | None = None,
 ) -> Experiment:
-    """The experiment with another learner of LEARNERS, or budget, where these are given.
+    """Replace the learner of an experiment by one of LEARNERS, and its budget, where these are given.
 
-    Raises ValueError for a learner that is not there, and a budget that its learner does not count.
+    Raises InputError for an unknown learner, and for a budget that the learner does not have.
     """
     if algorithm is not None:
         if algorithm not in LEARNERS:
             raise InputError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
         learner = LEARNERS[algorithm]
-        # An experiment's own settings of the learner that is asked for stay, but for the tuned ones.
+        # Where the experiment has this learner already its own settings stay; "ppo-tuned" is asked for by its settings.
         if algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
             experiment = with_learner(experiment, learner)
-    training = experiment.training
-    counted = ("steps",) if isinstance(training, PPOSettings) else ("epochs", "episodes")
-    for name, value in (("epochs", epochs), ("episodes", episodes), ("steps", steps)):
-        if value is None:
-            continue
-        if name not in counted:
-            right = " or ".join(counted)
-            raise InputError(f"{name} {value}: this algorithm does not count them: expected {right}")
-        training = replace(training, **{name: value})
-    return replace(experiment, training=training)
+    budgets = ("steps",) if isinstance(experiment.training, PPOSettings) else ("epochs", "episodes")
+    given = {"epochs": epochs, "episodes": episodes, "steps": steps}
+    changes = {name: value for name, value in given.items() if value is not None}
+    for name, value in changes.items():
+        if name not in budgets:
+            raise InputError(f"{name} {value}: this algorithm does not count them: expected {' or '.join(budgets)}")
+    return replace(experiment, training=replace(experiment.training, **changes))

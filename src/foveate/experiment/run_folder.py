@@ -1,4 +1,4 @@
-"""The files of a run folder: their names, the record of each validation, and how a run ended."""
+"""Files of a run folder: their names, the record of a validation, and the outcome of a training."""
 
 import json
 from dataclasses import dataclass, fields
@@ -23,12 +23,12 @@ METRICS = "metrics.jsonl"
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """One judgement of a policy in training, a line of `metrics.jsonl`.
+    """One validation of a policy in training, a line of `metrics.jsonl`.
 
-    An epoch is one step of the policy gradient, or of PPO one rollout with all passes over it; `env_steps` is how many
-    steps of simulated episodes all epochs took (in the mean over the scenes drawn, where they are not counted).
-    `objective` is the mean over the epochs since the last check, `held_out` the score of the protocol that selects
-    the best, `at_limit` the share of held-out commands with every axis at a limit; PPO tells no `gradient_norm`.
+    An epoch is one step of the policy gradient, or one iteration of PPO, a rollout with all passes over it; `env_steps`
+    counts the simulated steps of all epochs (their expectation where horizons are random). `objective` is the mean over
+    the epochs since the last validation, `held_out` the score of the protocol that selects the best, `at_limit` the
+    share of held-out commands with every axis at a limit. `gradient_norm` is null for PPO of Stable-Baselines3.
     """
 
     epoch: int
@@ -45,7 +45,7 @@ class Validation:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a training ended."""
+    """Outcome of a training; `stopped` is the reason where it ended early."""
 
     epochs: int
     best_epoch: int
@@ -55,9 +55,9 @@ class Outcome:
 
 
 def claim(out: Path, experiment: Experiment) -> None:
-    """Make the run folder `out`, but for its config.toml: that is written last, where there is something to go on with.
+    """Create the run folder `out` without its config.toml, which is written last, once a training can be resumed.
 
-    What a training left that was killed before that is no run. Raises ValueError where something else is there.
+    A folder that a training left which was killed before that is free. Raises InputError for one that is not.
     """
     require_free(out, experiment)
     (out / BEST).parent.mkdir(parents=True, exist_ok=True)
@@ -65,14 +65,14 @@ def claim(out: Path, experiment: Experiment) -> None:
 
 
 def require_free(out: Path, experiment: Experiment) -> None:
-    """Raise ValueError where a run, or something else, is there already."""
+    """Raise InputError where a run, or something else, is there already."""
     if out.exists() and not _is_free(out):
-        resume = "" if isinstance(experiment.training, PPOSettings) else f", or go on with --resume {out}"
+        resume = "" if isinstance(experiment.training, PPOSettings) else f", or resume it with --resume {out}"
         raise InputError(f"{out}: exists already: choose another --out{resume}")
 
 
 def _is_free(out: Path) -> bool:
-    """A folder without anything, or with a beginning from before the first check."""
+    """True for an empty folder, and for the remains of a training that was killed before its config.toml."""
     if not out.is_dir() or (out / CONFIG).exists():
         return False
     inside = [path for path in out.rglob("*") if not is_temporary(path)]
@@ -81,16 +81,16 @@ def _is_free(out: Path) -> bool:
 
 
 def read_validations(file: Path) -> list[Validation]:
-    """The checks of a `metrics.jsonl`; a last line that was cut while it was written is passed over."""
-    names, checks = {field.name for field in fields(Validation)}, []
+    """Read the validations of a `metrics.jsonl`; a last line that was cut while it was written is skipped."""
+    names, validations = {field.name for field in fields(Validation)}, []
     lines = [line for line in read_text(file, "metrics.jsonl of a run").splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):
         try:
             row = json.loads(line)
-            checks.append(Validation(**{name: value for name, value in row.items() if name in names}))
+            validations.append(Validation(**{name: value for name, value in row.items() if name in names}))
         except (ValueError, TypeError, AttributeError):
             if number < len(lines):
                 raise InputError(f"{file}: line {number}: not a check of a training") from None
-    if not checks:
+    if not validations:
         raise InputError(f"{file}: no check in it yet: expected at least one line")
-    return checks
+    return validations

@@ -18,7 +18,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import CONFIG
 from foveate.io.toml import load_toml
-from foveate.policies.inputs import Features, Frame, Scale, policy_features
+from foveate.policies.inputs import Features, Frame, Scale, masked_features
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.batch import Batch, Programs
 from foveate.simulation.environment import Environment
@@ -89,7 +89,7 @@ def _programs(
     environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
 
     def features(observation: Observation, left: Scalar) -> Features:
-        return policy_features(observation, left, problem.agent.space, frame, length_m, information)
+        return masked_features(observation, left, problem.agent.space, frame, length_m, information)
 
     return Programs(environment, features, count)
 

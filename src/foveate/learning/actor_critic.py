@@ -19,10 +19,10 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, Objective
 from foveate.geometry.linalg import log_det_spd
-from foveate.learning.learner import Learner, Report
+from foveate.learning.learner import EpochReport, Learner
 from foveate.learning.objective import step_scores
 from foveate.models.problem import Problem
-from foveate.policies.inputs import rich_numbers
+from foveate.policies.inputs import pointer_feature_count
 from foveate.policies.layers import Layers, fresh_layers
 from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder
 from foveate.scenario.scenes import SceneSettings
@@ -78,7 +78,7 @@ def begin(problem: Problem, policy: Policy, settings: ActorCriticSettings, key: 
             "training.algorithm = 'actor-critic': expected policy.kind = 'pointer', which has modes to try"
         )
     width, embedding = CRITIC_WIDTH, CRITIC_QUERIES * CRITIC_WIDTH
-    numbers = rich_numbers(problem, "pointer")
+    numbers = pointer_feature_count(problem, "pointer")
     target, query, value = fresh_layers(
         ((numbers, width, width, width), (width, CRITIC_QUERIES), (embedding, width, width, 1)), key
     )
@@ -219,7 +219,7 @@ def loss(
 
 def epoch(
     problem: Problem, scenes: SceneSettings, settings: ActorCriticSettings, learner: Learner, key: Key
-) -> tuple[Learner, Report]:
+) -> tuple[Learner, EpochReport]:
     """Play a batch and go over it `passes` times; the chance of epoch i comes from (key, i) alone."""
     play_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     first, last = settings.action_std
@@ -248,4 +248,4 @@ def epoch(
     parameters, state, norm = jax.lax.fori_loop(0, settings.updates, update, begun)
     policy, critic = eqx.combine(parameters, rest)
     finite = jnp.isfinite(earned) & jnp.isfinite(optax.tree.norm(parameters)) & jnp.isfinite(norm)
-    return Learner(policy, state, learner.epoch + 1, critic), Report(earned, norm, finite)
+    return Learner(policy, state, learner.epoch + 1, critic), EpochReport(earned, norm, finite)

@@ -1,4 +1,4 @@
-"""What all learners with epochs share: their state, what one epoch reports, and the compiled loop of epochs."""
+"""State, report and compiled loop of epochs that every JAX learner shares."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,29 +14,29 @@ from foveate.types import Count, Key, Scalar
 
 
 class Learner(eqx.Module):
-    """Everything that one epoch hands on to the next."""
+    """All that one epoch passes on to the next."""
 
     policy: Policy
     optimizer: optax.OptState
     epoch: Count
     critic: Any = None
-    """What only learning needs beside the policy: nothing here, a network of its own for who learns by trying."""
+    """Value network; None unless the learner is actor-critic."""
 
 
-class Report(eqx.Module):
-    """One epoch in numbers: the objective, the gradient's norm before its bound, and all finite?"""
+class EpochReport(eqx.Module):
+    """One epoch in numbers: the objective, the gradient's norm before clipping, and whether all were finite."""
 
     objective: Scalar
     gradient_norm: Scalar
     finite: Bool[Array, ""]
 
 
-Advance = Callable[[Learner, Key], tuple[Learner, Report]]
+Epoch = Callable[[Learner, Key], tuple[Learner, EpochReport]]
 """One epoch of a learner."""
 
 
-def epochs(advance: Advance, count: Count, learner: Learner, key: Key) -> tuple[Learner, Report]:
-    """`count` epochs in one compiled loop: the mean of what is ascended, the largest norm, and whether all were finite.
+def run_epochs(epoch: Epoch, count: Count, learner: Learner, key: Key) -> tuple[Learner, EpochReport]:
+    """Run `count` epochs in one compiled loop; report mean objective, largest norm, and whether all were finite.
 
     An epoch that is not finite changes nothing: the learner stays as it was before it.
     """
@@ -44,15 +44,18 @@ def epochs(advance: Advance, count: Count, learner: Learner, key: Key) -> tuple[
 
     def step(_, carry):
         arrays, total = carry
-        after, now = advance(eqx.combine(arrays, static), key)
-        kept = jax.tree.map(lambda new, old: jnp.where(now.finite, new, old), eqx.filter(after, eqx.is_array), arrays)
-        sums = Report(
-            total.objective + now.objective,
-            jnp.maximum(total.gradient_norm, now.gradient_norm),
-            total.finite & now.finite,
+        after, report = epoch(eqx.combine(arrays, static), key)
+        kept = jax.tree.map(
+            lambda new, old: jnp.where(report.finite, new, old), eqx.filter(after, eqx.is_array), arrays
         )
-        return kept, sums
+        total = EpochReport(
+            objective=total.objective + report.objective,
+            gradient_norm=jnp.maximum(total.gradient_norm, report.gradient_norm),
+            finite=total.finite & report.finite,
+        )
+        return kept, total
 
-    nothing = Report(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
-    arrays, total = jax.lax.fori_loop(0, count, step, (arrays, nothing))
-    return eqx.combine(arrays, static), Report(total.objective / count, total.gradient_norm, total.finite)
+    zero = EpochReport(objective=jnp.zeros(()), gradient_norm=jnp.zeros(()), finite=jnp.array(True))
+    arrays, total = jax.lax.fori_loop(0, count, step, (arrays, zero))
+    mean = EpochReport(objective=total.objective / count, gradient_norm=total.gradient_norm, finite=total.finite)
+    return eqx.combine(arrays, static), mean

@@ -1,4 +1,4 @@
-"""The score of an episode from what each target is worth after every step."""
+"""Score an episode from a value of each target after every step."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -7,15 +7,15 @@ from foveate.simulation.records import Episode, per_target
 
 
 def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:
-    """The mean over targets of what each is worth after every step."""
+    """Mean of the targets' values after every step."""
     arrivals = episode.arrivals
-    # A target that has just come could not be measured yet.
+    # A target that appeared in this step could not be measured yet.
     present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
     return per_target(values, jnp.broadcast_to(present, values.shape))
 
 
 def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Float[Array, ""]:
-    """The mean over targets of what each is worth: after the last step (`terminal`), or in the mean over steps."""
+    """Mean of the targets' values after the last step (`terminal`), or over all steps."""
     score = step_scores(values, episode)
     if terminal:
         return score[episode.horizon - 1]

@@ -1,4 +1,4 @@
-"""The paper's learner: gradient ascent on the log determinant through the whole simulated episode (proposition 1).
+"""Learn by the paper's policy gradient: ascent on log det through the whole simulated episode (proposition 1).
 
 Reverse mode through one scan, so the cost does not grow with the number of parameters.
 """
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from foveate.experiment.learners import TrainingSettings
 from foveate.learning.gradient import mean_and_gradient
-from foveate.learning.learner import Learner, Report
+from foveate.learning.learner import EpochReport, Learner
 from foveate.learning.objective import episode_score, step_scores
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
@@ -20,17 +20,16 @@ from foveate.simulation.records import Episode, Policy
 from foveate.simulation.rollout import log_dets, weights
 from foveate.types import Key
 
-TARGETS = {"cpu": 256}
-"""Targets, padding counted, that a device works on at once where nothing else is asked for: on a CPU what a core's own
-cache holds."""
+CPU_BATCH_TARGETS = 256
+"""Default number of targets, with padding, in a micro-batch on a CPU: what the core's own cache holds."""
 
 
-OTHERWISE = 131072
-"""The same on an accelerator."""
+ACCELERATOR_BATCH_TARGETS = 131072
+"""The same on an accelerator, which needs many to be busy, and has the memory."""
 
 
 def optimizer(settings: TrainingSettings) -> optax.GradientTransformation:
-    """Adam on the bounded gradient."""
+    """Adam on the clipped gradient."""
     rate = settings.learning_rate
     if settings.schedule == "cosine":
         rate = optax.cosine_decay_schedule(rate, settings.epochs)
@@ -44,29 +43,31 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
 
 
 def micro_batch_size(settings: TrainingSettings, scenes: SceneSettings) -> int:
-    """Episodes that a device works on at once: as many as asked for, or as have so many targets as it holds best."""
-    return settings.micro_batch or max(1, TARGETS.get(jax.default_backend(), OTHERWISE) // scenes.targets_max)
+    """Episodes in a micro-batch: `settings.micro_batch`, or what suits the device."""
+    targets = CPU_BATCH_TARGETS if jax.default_backend() == "cpu" else ACCELERATOR_BATCH_TARGETS
+    return settings.micro_batch or max(1, targets // scenes.targets_max)
 
 
 def objective(
     problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
 ) -> Float[Array, ""]:
-    """What training differentiates: log det [nat per target] or time in view of an episode, under the soft views."""
-    earnings, is_terminal = weights if settings.objective == "seen" else log_dets, settings.objective == "terminal"
-    values = earnings(problem, policy, episode, settings.protocol, key, settings.back)
+    """Log det [nat per target] or share of time in view of an episode under the soft views, to be differentiated."""
+    values_of, is_terminal = weights if settings.objective == "seen" else log_dets, settings.objective == "terminal"
+    values = values_of(problem, policy, episode, settings.protocol, key, settings.back)
     score = episode_score(values, episode, is_terminal)
     if settings.window is None or not is_terminal:
         return score
-    # What counts at the horizon is the sum of what all windows add. No value, but the derivative of the earlier ones.
-    grown, ends = step_scores(values, episode), jnp.arange(1, len(values) + 1)
+    # Windows cut the gradient, so the score at the horizon has a derivative in the last window alone. It is the sum of
+    # what all windows add: the scores at the ends of earlier windows enter with their derivative, and with value zero.
+    scores, ends = step_scores(values, episode), jnp.arange(1, len(values) + 1)
     earlier = (ends % settings.window == 0) & (ends < episode.horizon)
-    return score + jnp.sum(jnp.where(earlier, grown - jax.lax.stop_gradient(grown), 0.0))
+    return score + jnp.sum(jnp.where(earlier, scores - jax.lax.stop_gradient(scores), 0.0))
 
 
 def epoch(
     problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key
-) -> tuple[Learner, Report]:
-    """One step of ascent on a fresh batch; the chance of epoch i comes from (key, i) alone."""
+) -> tuple[Learner, EpochReport]:
+    """One step of ascent on a fresh batch; the random numbers of epoch i depend on (key, i) alone."""
     parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
     episode_key, policy_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     keys = tuple(jax.random.split(k, settings.episodes) for k in (episode_key, policy_key))
@@ -79,5 +80,5 @@ def epoch(
     norm = optax.tree.norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
     policy = eqx.apply_updates(learner.policy, updates)
-    report = Report(-value, norm, jnp.isfinite(value) & jnp.isfinite(norm))
+    report = EpochReport(-value, norm, jnp.isfinite(value) & jnp.isfinite(norm))
     return Learner(policy, state, learner.epoch + 1), report

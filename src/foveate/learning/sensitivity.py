@@ -53,8 +53,8 @@ def policy_gradient(
     """sum_j log det Y_K^(j) of a noise-free episode in space [nat], and its gradient by the policy's parameters.
 
     The gradient has the structure of the policy's floating-point arrays. Memory grows as n_p n n_y^2. Raises
-    ValueError for a planar problem (lift it: `foveate.simulation.planar_in_space`), an episode with truth or arrivals, and a policy
-    that keeps a memory.
+    InputError for a planar problem (lift it: `foveate.simulation.planar_in_space`), an episode with truth or arrivals,
+    and a policy that keeps a memory.
     """
     if problem.agent.space.dimension != 3:
         raise InputError(

@@ -1,4 +1,4 @@
-"""TensorBoard's events, written as they come: a disk that is full is an error here, not of a thread of its own."""
+"""Write TensorBoard events, each at once: a full disk raises here, not in a thread of the writer's own."""
 
 import time
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from tensorboardX.summary import scalar
 
 
 class Events:
-    """The events of one training, or of one that goes on: what was told of steps from `purge_step` on is void then."""
+    """Events of one training. A resumed one makes TensorBoard drop earlier events from `purge_step` on."""
 
     def __init__(self, folder: Path, purge_step: int = 0) -> None:
         # The writer names its file by the second, and would empty one of that name.
@@ -26,7 +26,7 @@ class Events:
         self._writer.close()
 
     def add(self, numbers: Mapping[str, float], step: int) -> None:
-        """Numbers of one step, by their names. Raises OSError where they cannot be written."""
+        """Write the numbers of one step, by their names. Raises OSError where the disk is full."""
         for name, value in numbers.items():
             self._write(Event(step=step, summary=scalar(name, value)))
         self._writer.flush()

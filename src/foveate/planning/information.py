@@ -1,8 +1,8 @@
-"""What a sequence of actions is worth: the noise-free information recursion along its path, and its gradient.
+"""Score a sequence of actions by the noise-free information recursion along its path, with a hand-written gradient.
 
-The same model as `rollout` (agent, view, sensor, belief), without what a planner does not need: no policy, no noise,
-and, as the targets' future does not depend on the agent, no means. The gradient of the recursion is written by hand
-(proposition 1 of the paper, in reverse): one pass with one matrix a step to remember.
+The same model as `rollout` (agent, view, sensor, belief) without policy, noise and means: a planner's targets move
+independently of the agent. The gradient is proposition 1 of the paper in reverse mode: one pass, one matrix stored per
+step.
 """
 
 import equinox as eqx
@@ -20,10 +20,10 @@ from foveate.types import Count, Pose
 
 
 class Future(eqx.Module):
-    """What a plan is made for, as it is known or guessed before the first of its steps.
+    """The future that a plan is made for, known or predicted before its first step.
 
-    `state` holds where the targets will be after each step, `information` the predicted P_1 of the first. Only the
-    first `horizon` steps count.
+    `state` holds the targets' states after each step, `information` the predicted P_1 of the first. Only the first
+    `horizon` steps count.
     """
 
     pose: Pose
@@ -34,7 +34,7 @@ class Future(eqx.Module):
 
 
 def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Float[Array, ""]:
-    """log det Y at the horizon, the mean over targets [nat], under a soft view, or, without a level, the real one."""
+    """Mean log det Y over the targets at the horizon [nat], in a soft view, or the real one where `level` is None."""
     log_det = final_log_det(problem, future, action, level)
     total = jnp.sum(jnp.where(future.present, log_det, 0.0))
     return total / jnp.maximum(jnp.sum(future.present), 1)
@@ -43,7 +43,7 @@ def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: 
 def final_log_det(
     problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
 ) -> Float[Array, " n"]:
-    """log det Y at the horizon of every target. Raises ValueError for a problem that changes from step to step."""
+    """log det Y of every target at the horizon [nat]. Raises InputError for a problem with a schedule."""
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: plans know steps of one kind only: leave [schedule] out")
     agent, sensor = problem.agent, problem.sensor
@@ -83,22 +83,23 @@ def _log_det_after(
 
 def _forward(information, added, counts, motion):
     def step(Y, x):
-        more, count = x
-        P = jax.vmap(lambda one: belief.predict_information(one, motion))(Y)
+        added, count = x
+        P = jax.vmap(lambda information: belief.predict_information(information, motion))(Y)
         G = multiply(P, multiply(motion.A, inverse_spd(Y)))
-        return jnp.where(count, P + more, Y), G
+        return jnp.where(count, P + added, Y), G
 
     Y, G = jax.lax.scan(step, information + added[0], (added[1:], counts[1:]))
     return log_det_spd(Y), (Y, G, counts)
 
 
-def _backward(kept, cotangent):
-    Y, G, counts = kept
+def _backward(residuals, cotangent):
+    Y, G, counts = residuals
 
     def step(L, x):
         G, count = x
-        before = symmetrise(multiply(multiply(jnp.swapaxes(G, -1, -2), L), G))
-        return jnp.where(count, before, L), L
+        # Rounding would make L drift from symmetric over a long horizon.
+        earlier = symmetrise(multiply(multiply(jnp.swapaxes(G, -1, -2), L), G))
+        return jnp.where(count, earlier, L), L
 
     first, later = jax.lax.scan(step, cotangent[:, None, None] * inverse_spd(Y), (G, counts[1:]), reverse=True)
     return None, jnp.concatenate([first[None], later]), None, None

@@ -1,4 +1,4 @@
-"""Where ascent begins: straight ahead, as the publication has it, and tours that look at one target after another.
+"""Starts of a planner's ascent: straight ahead, as in the publication, and tours from target to target.
 
 Random controls rarely pass near more than one target, and a soft view has no gradient at what is far away.
 """
@@ -14,19 +14,19 @@ from foveate.planning.information import Future
 from foveate.policies.heuristics import twist_towards
 from foveate.types import Key, Scalar
 
-FULLEST = 0.9
-"""How near to the limits of the controls a tour goes: at them tanh has no gradient."""
+MAX_ACTION = 0.9
+"""Largest action of a tour: at the limits, +-1, tanh has no gradient."""
 
 
-DWELL = 3
-"""Most looks that a tour spends on a target before it turns to the next."""
+MAX_DWELL = 3
+"""Largest number of looks that a tour spends on a target before it turns to the next."""
 
 
-SPREAD = 0.7
-"""Standard deviation of the logarithm of a tour's taste for each target."""
+PREFERENCE_STD = 0.7
+"""Standard deviation of the log factors by which each tour rescales its distances to the targets."""
 
 
-JITTER = 0.2
+RAW_ACTION_STD = 0.2
 """Standard deviation of the noise on a tour's raw actions."""
 
 
@@ -36,7 +36,7 @@ def straight_ahead(problem: Problem, steps: int) -> Float[Array, "K m"]:
 
 
 def best_range(view: FieldOfView) -> Scalar:
-    """How far straight ahead a target is deepest in view [m]; 0 for a view without bounds ahead."""
+    """Range straight ahead at which a target is deepest in view [m]; 0 for a view without bounds ahead."""
     if isinstance(view, Prism):
         return best_range(view.base)
     ahead = jnp.linspace(0.0, 1.0, 101) * jnp.where(jnp.isfinite(view.depth), view.depth, 0.0)
@@ -45,30 +45,31 @@ def best_range(view: FieldOfView) -> Scalar:
 
 
 def tours(problem: Problem, future: Future, count: int, key: Key) -> Float[Array, "count K m"]:
-    """Raw actions that steer to the target least looked at, among equals to the nearest by the tour's own taste."""
+    """Raw actions that steer to the target least looked at, the nearest of equals by the tour's rescaled distances."""
     standoff_m = best_range(problem.sensor.view)
     return jax.vmap(lambda k: _tour(problem, future, standoff_m, k))(jax.random.split(key, count))
 
 
 def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Float[Array, "K m"]:
     agent, view = problem.agent, problem.sensor.view
-    taste_key, dwell_key, jitter_key = jax.random.split(key, 3)
+    preference_key, dwell_key, noise_key = jax.random.split(key, 3)
     targets = len(future.present)
-    taste = jnp.exp(SPREAD * jax.random.normal(taste_key, (targets,)))
-    dwell = jax.random.randint(dwell_key, (), 1, DWELL + 1)
+    # Tours must differ: each has its own order of the targets and its own time at each.
+    preference = jnp.exp(PREFERENCE_STD * jax.random.normal(preference_key, (targets,)))
+    dwell = jax.random.randint(dwell_key, (), 1, MAX_DWELL + 1)
 
     def step(carry, state):
         pose, looks = carry
-        points = agent.space.to_body(pose, problem.motion.position(state))
-        away = taste * jnp.sqrt(jnp.sum(points**2, axis=-1))
+        points_body = agent.space.to_body(pose, problem.motion.position(state))
+        distance = preference * jnp.sqrt(jnp.sum(points_body**2, axis=-1))
         rounds = jnp.where(future.present, looks // dwell, len(future.state))
-        away = jnp.where(rounds == jnp.min(rounds), away, jnp.inf)
-        twist = twist_towards(points[jnp.argmin(away)], standoff_m, problem.tau)
+        distance = jnp.where(rounds == jnp.min(rounds), distance, jnp.inf)
+        twist = twist_towards(points_body[jnp.argmin(distance)], standoff_m, problem.tau)
         action = agent.action(twist[jnp.array(agent.axes)])
         pose = agent.move(pose, action, problem.tau)
         seen = view.contains(agent.space.to_body(pose, problem.motion.position(state)))
         return (pose, looks + seen), action
 
     action = jax.lax.scan(step, (future.pose, jnp.zeros(targets, int)), future.state)[1]
-    raw = jnp.arctanh(jnp.clip(action, -FULLEST, FULLEST))
-    return raw + JITTER * jax.random.normal(jitter_key, raw.shape)
+    raw = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
+    return raw + RAW_ACTION_STD * jax.random.normal(noise_key, raw.shape)

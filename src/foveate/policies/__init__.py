@@ -1,1 +1,1 @@
-"""What decides: networks, and heuristics."""
+"""Policies: networks and heuristics."""

@@ -1,4 +1,4 @@
-"""The paper's network: an embedding of the agent attends to an embedding of every target (paper, section 3.2)."""
+"""Attention policy, the paper's network: the agent's embedding attends to those of the targets (paper, section 3.2)."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from foveate.errors import InputError
 from foveate.geometry.space import Space
+from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import Frame, Scale, policy_inputs
 from foveate.policies.layers import fresh_layers, masked_softmax
@@ -18,15 +19,15 @@ from foveate.types import Action, Key
 
 @dataclass(frozen=True, kw_only=True)
 class AttentionSettings:
-    """The paper's network: widths of its layers, alpha, and the frame of its inputs.
+    """Settings of the paper's network.
 
-    Positions enter in units of `length_m` (the paper: metres): a world far larger than a metre would saturate the
-    attention of a fresh network. `information` says on which scale information matrices enter (the paper: plain).
+    Positions enter in units of `length_m` (the paper: metres): distances of many units would saturate the attention of
+    an untrained network. `information` is the scale on which information matrices enter (the paper: plain).
     """
 
     kind: Literal["attention"] = "attention"
     frame: Frame = "body"
-    """Whose frame its inputs are in."""
+    """Frame of its inputs: the agent's body, or the world."""
     agent_widths: tuple[int, ...] = (32, 32)
     """Layers on the pose."""
     target_widths: tuple[int, ...] = (64, 32)
@@ -34,25 +35,21 @@ class AttentionSettings:
     out_widths: tuple[int, ...] = (64,)
     """Layers before the command."""
     alpha: float = 4.0
-    """What the scores of the attention are divided by."""
+    """Divisor of the attention scores."""
     length_m: float = 1.0
     information: Scale = "plain"
 
     def __post_init__(self) -> None:
         for name in ("agent_widths", "target_widths", "out_widths"):
             widths = getattr(self, name)
-            if not widths or min(widths) < 1:
-                raise InputError(f"{name} = {widths}: expected at least one width, each >= 1")
-        if self.agent_widths[-1] != self.target_widths[-1]:
-            raise InputError(
-                f"target_widths = {self.target_widths}: expected to end in {self.agent_widths[-1]} as agent_widths does"
-            )
-        for name in ("alpha", "length_m"):
-            if getattr(self, name) <= 0:
-                raise InputError(f"{name} = {getattr(self, name)}: expected > 0")
+            require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
+        embedding = self.agent_widths[-1]
+        right = f"expected to end in {embedding} as agent_widths does"
+        require(self.target_widths[-1] == embedding, "target_widths", self.target_widths, right)
+        positive(self, "alpha", "length_m")
 
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
-        """A network with fresh weights, fit for the problem's space, targets and actuated axes."""
+        """A network with random weights, sized for the problem's space, targets and actuated axes."""
         d, n_y = problem.agent.space.dimension, problem.motion.state_size
         if self.frame == "body" and not problem.motion.begins_with_position:
             raise InputError(

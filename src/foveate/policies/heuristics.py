@@ -1,6 +1,7 @@
-"""Policies made by hand: what a learned policy has to beat."""
+"""Heuristic policies: baselines for learned ones."""
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +20,7 @@ LANES = 6
 
 
 class Random(Policy):
-    """A new action every step, uniform within the limits."""
+    """Takes a random action every step, uniform within the limits."""
 
     problem: Problem
 
@@ -39,78 +40,80 @@ class Still(Policy):
 
 
 class Steering(Policy):
-    """Turns to a goal and drives until it stands `standoff_m` before it; a subclass chooses the goal."""
+    """Turns to a goal and drives until it is `standoff_m` [m] before it; subclasses choose the goal."""
 
     problem: Problem
     standoff_m: float = eqx.field(static=True)
 
     @abc.abstractmethod
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
-        """Position of the goal in the world [m], whether there is one, and the memory for the next step."""
+        """Position of the goal in the world [m], whether one exists, and the memory for the next step."""
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
-        """Heading first: the speed ahead falls with the cosine of the angle that is still to turn."""
+        """Steer to the goal, or stop where there is none."""
         goal_world, exists, memory = self.goal(observation, memory)
         agent = self.problem.agent
-        point = agent.space.to_body(observation.pose, goal_world)
+        goal_body = agent.space.to_body(observation.pose, goal_world)
         tau = self.problem.at(observation.step).tau
-        there = agent.action(twist_towards(point, self.standoff_m, tau)[jnp.array(agent.axes)])
-        rest = agent.action(jnp.zeros_like(agent.lower))
-        return jnp.where(exists, there, rest), memory
+        steer = agent.action(twist_towards(goal_body, self.standoff_m, tau)[jnp.array(agent.axes)])
+        stop = agent.action(jnp.zeros_like(agent.lower))
+        return jnp.where(exists, steer, stop), memory
 
 
 def twist_towards(point_body: Point, standoff_m: float | Scalar, tau: Float[Array, ""]) -> Float[Array, " n_u"]:
-    """The twist that would face a body-frame point, and end `standoff_m` before it, after one period."""
-    across = jnp.hypot(point_body[0], point_body[1])
+    """The twist that would face a body-frame point [m], and end `standoff_m` before it, after one period `tau` [s]."""
+    range_m = jnp.hypot(point_body[0], point_body[1])
     bearing = jnp.arctan2(point_body[1], point_body[0])
-    ahead = jnp.maximum(jnp.cos(bearing), 0.0) * (across - standoff_m)
+    # Heading first: a vehicle that cannot move sideways would drive past its goal while it still turns.
+    ahead = jnp.maximum(jnp.cos(bearing), 0.0) * (range_m - standoff_m)
     zero = jnp.zeros_like(ahead)
     if len(point_body) == 2:
         return jnp.stack([ahead, zero, bearing]) / tau
-    elevation = jnp.arctan2(point_body[2], across)
+    elevation = jnp.arctan2(point_body[2], range_m)
     return jnp.stack([ahead, zero, point_body[2], zero, -elevation, bearing]) / tau
 
 
 class Nearest(Steering):
-    """Goes after the target whose predicted position is nearest."""
+    """Follows the target whose predicted position is nearest."""
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
         """The nearest predicted mean."""
         position = self.problem.motion.position(observation.mean)
-        away = jnp.sum((position - self.problem.agent.space.position(observation.pose)) ** 2, axis=-1)
-        choice = jnp.argmin(jnp.where(observation.present, away, jnp.inf))
+        square_m2 = jnp.sum((position - self.problem.agent.space.position(observation.pose)) ** 2, axis=-1)
+        choice = jnp.argmin(jnp.where(observation.present, square_m2, jnp.inf))
         return position[choice], observation.present.any(), memory
 
 
 class Uncertain(Steering):
-    """Goes after the target that it knows least about: the smallest log det of the predicted information."""
+    """Follows the target of the smallest log det of the predicted information."""
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
         """The predicted mean with the least information; the nearer of equals."""
         position = self.problem.motion.position(observation.mean)
-        away = jnp.linalg.norm(position - self.problem.agent.space.position(observation.pose), axis=-1)
-        known = log_det_spd(observation.information) + 1e-3 * away
-        choice = jnp.argmin(jnp.where(observation.present, known, jnp.inf))
+        distance_m = jnp.linalg.norm(position - self.problem.agent.space.position(observation.pose), axis=-1)
+        # Targets that were never seen have equal beliefs: a millinat per metre decides among them, and no others.
+        merit = log_det_spd(observation.information) + 1e-3 * distance_m
+        choice = jnp.argmin(jnp.where(observation.present, merit, jnp.inf))
         return position[choice], observation.present.any(), memory
 
 
 class Lawnmower(Steering):
-    """Sweeps a box in six parallel lanes, again and again: `box_world` (2, d), or that of the first beliefs.
+    """Sweeps a box in parallel lanes, repeatedly: `box_world` (low and high corner [m]), or that of the first beliefs.
 
-    Its memory is the lanes' corners and which of them comes next.
+    Its memory is the lanes' corners and the index of the next one.
     """
 
     box_world: Float[Array, "2 d"] | None = None
 
     def start(self, observation: Observation) -> Any:
-        """The corners of the lanes, shape (2 LANES, d), beginning at the one nearest the agent."""
+        """The corners of the lanes, shape (2 LANES, d), and the index of the one nearest the agent."""
         position = self.problem.motion.position(observation.mean)
         mask = observation.present[:, None]
         here = self.problem.agent.space.position(observation.pose)
         if self.box_world is None:
-            nobody = ~observation.present.any()
-            low = jnp.where(nobody, here, jnp.min(jnp.where(mask, position, jnp.inf), axis=0))
-            high = jnp.where(nobody, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
+            empty = ~observation.present.any()
+            low = jnp.where(empty, here, jnp.min(jnp.where(mask, position, jnp.inf), axis=0))
+            high = jnp.where(empty, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
         else:
             low, high = self.box_world
         across = jnp.repeat((jnp.arange(LANES) + 0.5) / LANES, 2)
@@ -121,28 +124,39 @@ class Lawnmower(Steering):
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
         """The next corner; the one after it once the agent is within reach of one step."""
-        corners, turn = memory
+        corners, index = memory
         agent = self.problem.agent
         linear = jnp.array([i for i, axis in enumerate(agent.axes) if axis < agent.space.dimension], int)
         speed = jnp.max(jnp.maximum(-agent.lower, agent.upper)[linear], initial=0.0)
         reach = jnp.maximum(0.5 * speed * self.problem.at(observation.step).tau, self.standoff_m)
-        away = jnp.linalg.norm(corners[turn] - agent.space.position(observation.pose))
-        turn = jnp.where(away < reach, (turn + 1) % len(corners), turn)
-        return corners[turn], jnp.array(True), (corners, turn)
+        distance_m = jnp.linalg.norm(corners[index] - agent.space.position(observation.pose))
+        index = jnp.where(distance_m < reach, (index + 1) % len(corners), index)
+        return corners[index], jnp.array(True), (corners, index)
 
 
-HEURISTICS = ("random", "still", "nearest", "uncertain", "lawnmower")
+HEURISTICS: dict[str, Callable[[Problem, float, Float[Array, "2 d"] | None], Policy]] = {
+    "random": lambda problem, depth_m, box_world: Random(problem),
+    "still": lambda problem, depth_m, box_world: Still(problem),
+    # Half the depth keeps a target in the middle of the view, whichever way it moves.
+    "nearest": lambda problem, depth_m, box_world: Nearest(problem, 0.5 * depth_m),
+    "uncertain": lambda problem, depth_m, box_world: Uncertain(problem, 0.5 * depth_m),
+    "lawnmower": lambda problem, depth_m, box_world: Lawnmower(problem, 0.0, box_world),
+}
+"""Heuristics by name: each makes its policy from the problem, the depth of the view [m] and the box to sweep [m]."""
 
 
 def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-    """The hand-made policy of that name, standing off by half the depth [m] of the view; the box is the lawnmower's."""
-    policies = {
-        "random": lambda: Random(problem),
-        "still": lambda: Still(problem),
-        "nearest": lambda: Nearest(problem, 0.5 * depth_m),
-        "uncertain": lambda: Uncertain(problem, 0.5 * depth_m),
-        "lawnmower": lambda: Lawnmower(problem, 0.0, box_world),
-    }
-    if name not in policies:
+    """Resolve a heuristic's name.
+
+    Args:
+        name: One of HEURISTICS.
+        problem: The problem that the policy acts in.
+        depth_m: Depth of the view [m]; followers stop at half of it.
+        box_world: Low and high corner [m] of the box that the lawnmower sweeps; None takes that of the first beliefs.
+
+    Raises:
+        InputError: There is no such heuristic.
+    """
+    if name not in HEURISTICS:
         raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
-    return policies[name]()
+    return HEURISTICS[name](problem, depth_m, box_world)

@@ -1,4 +1,4 @@
-"""What a learned policy is told: pose and predicted beliefs as numbers, in the agent's frame or in the world's."""
+"""Features of learned policies: pose and predicted beliefs as arrays, in the agent's frame or in the world's."""
 
 from typing import Literal, NamedTuple
 
@@ -18,35 +18,35 @@ Frame = Literal["body", "world"]
 Scale = Literal["plain", "asinh"]
 
 
-LEAST_RANGE_M = 0.1
-"""Below this the direction of a target fades out: at the agent itself it has none."""
+MIN_RANGE_M = 0.1
+"""Below this range the direction of a target fades to zero: at the agent itself it has none, nor a derivative."""
 
 
-HORIZON_STEPS = 10.0
-"""Steps left are told in this unit, and no further ahead than MOST_UNITS of it."""
+STEPS_LEFT_UNIT = 10.0
+"""Unit of the steps left; beyond MAX_STEPS_LEFT of it they make no difference."""
 
 
-MOST_UNITS = 3.0
+MAX_STEPS_LEFT = 3.0
 
 
-LAST_STEPS = 3.0
-"""Over so many steps the end comes into sight, as exp(-left / LAST_STEPS)."""
+FINAL_STEPS = 3.0
+"""Scale of exp(-left / FINAL_STEPS), the feature that resolves the last steps of an episode."""
 
 
-USUAL_TARGETS = 5.0
-"""The number of targets is told in this unit."""
+TARGETS_UNIT = 5.0
+"""Unit of the number of targets: a usual one, so that the feature is near 1."""
 
 
 def policy_inputs(
     observation: Observation, space: Space, frame: Frame, length_m: float = 1.0, scale: Scale = "plain"
 ) -> tuple[Float[Array, " n_u"], Float[Array, "n features"]]:
-    """s = [log(T)^v, {p, vech(P)}] (paper, section 2): numbers about the agent, and about each target.
+    """Features s = [log(T)^v, {p, vech(P)}] (paper, section 2) of the agent and of each target.
 
-    In the world frame as the paper's text has it. In the body frame the pose is zero, and mean and information
-    matrix are turned into the agent's frame: the same decision wherever the world's origin lies. The state is
-    read as vectors of d numbers, the first of them the position. Means are in units of `length_m` [m]. With the
-    scale "asinh" each number of an information matrix, which grows a thousandfold when a target is seen, enters as
-    its inverse hyperbolic sine: as it is near zero, by its logarithm beyond.
+    In the world frame they are as in the paper's text. In the body frame the pose is zero, and mean and information
+    matrix are rotated into the agent's frame, so that decisions do not depend on the world's origin. A state is read as
+    vectors of d numbers, the first of them the position. Means are in units of `length_m` [m]. With the scale "asinh"
+    the entries of an information matrix, which grow a thousandfold when a target is seen, enter as their inverse
+    hyperbolic sine, which is linear near zero and logarithmic beyond.
     """
     mean, information = observation.mean, observation.information
     if frame == "world":
@@ -56,7 +56,7 @@ def policy_inputs(
     position_body = space.to_body(observation.pose, mean[:, :d])
     later_body = multiply(mean[:, d:].reshape(-1, d), turn).reshape(n, size - d)
     mean_body = jnp.concatenate([position_body, later_body], axis=-1)
-    # diag(R, R, ..)^T P diag(R, R, ..): every d numbers of a row, then of a column, are turned by one product.
+    # diag(R, R, ..)^T P diag(R, R, ..): one product rotates every d numbers of all rows, another those of all columns.
     rows_body = multiply(information.reshape(-1, d), turn).reshape(n, size, size)
     information_body = multiply(jnp.swapaxes(rows_body, -1, -2).reshape(-1, d), turn).reshape(n, size, size)
     pose_body = jnp.zeros(space.twist_size, mean.dtype)
@@ -70,44 +70,44 @@ def _features(
     return jnp.concatenate([mean / length_m, jnp.arcsinh(packed) if scale == "asinh" else packed], axis=-1)
 
 
-def rich_inputs(observation: Observation, space: Space, length_m: float) -> Float[Array, "n numbers"]:
-    """Numbers about each target: as the paper's network has them in the body frame, then more that follows from them.
+def pointer_features(observation: Observation, space: Space, length_m: float) -> Float[Array, "n features"]:
+    """Features of each target for the pointer network: the paper's in the body frame, and more derived from them.
 
-    Directions, logarithms of ranges, information matrices as asinh, the steps that are left, how many targets there
-    are, and the known input of each: sizes that say less and directions that say more than plain coordinates.
+    These are its direction, the logarithm of its range, the steps left, the number of targets, and its known input.
+    Directions and logarithms resolve near and far targets alike, which plain coordinates do not.
     """
     d, n = space.dimension, len(observation.present)
-    _, usual = policy_inputs(observation, space, "body", length_m, "asinh")
-    position_body = usual[:, :d] * length_m
-    distance = jnp.sqrt(jnp.sum(position_body**2, axis=-1, keepdims=True) + LEAST_RANGE_M**2)
-    # Padding goes on after the end of an episode.
-    left = jnp.maximum(observation.left, 0).astype(usual.dtype)
+    _, paper = policy_inputs(observation, space, "body", length_m, "asinh")
+    position_body = paper[:, :d] * length_m
+    distance = jnp.sqrt(jnp.sum(position_body**2, axis=-1, keepdims=True) + MIN_RANGE_M**2)
+    # Negative in the padding after the end of an episode, where the exponential would overflow.
+    left = jnp.maximum(observation.left, 0).astype(paper.dtype)
     common = jnp.stack(
         [
-            jnp.minimum(left / HORIZON_STEPS, MOST_UNITS),
-            jnp.exp(-left / LAST_STEPS),
-            jnp.sum(observation.present) / USUAL_TARGETS,
+            jnp.minimum(left / STEPS_LEFT_UNIT, MAX_STEPS_LEFT),
+            jnp.exp(-left / FINAL_STEPS),
+            jnp.sum(observation.present) / TARGETS_UNIT,
         ]
     )
-    parts = [usual, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]
-    if observation.known_input.shape[-1] == d:  # a vector of the world: how far the target is pushed in this step
+    parts = [paper, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]
+    if observation.known_input.shape[-1] == d:  # a displacement in the world: rotated as positions are
         parts.append(multiply(observation.known_input, space.rotation(observation.pose)))
     return jnp.concatenate(parts, axis=-1)
 
 
-def rich_numbers(problem: Problem, kind: str) -> int:
-    """How many `rich_inputs` tells of a target. Raises ValueError where a state does not begin with the position."""
+def pointer_feature_count(problem: Problem, kind: str) -> int:
+    """Number of `pointer_features` of a target. Raises InputError where a state does not begin with the position."""
     d, n_y = problem.agent.space.dimension, problem.motion.state_size
     if not problem.motion.begins_with_position:
         raise InputError(
             f"kind = {kind!r}: expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
         )
-    told = d if problem.motion.input_size == d else 0
-    return n_y + n_y * (n_y + 1) // 2 + (d + 1) + told + 3
+    known_input = d if problem.motion.input_size == d else 0
+    return n_y + n_y * (n_y + 1) // 2 + (d + 1) + known_input + 3
 
 
 class Features(NamedTuple):
-    """An observation as arrays for learners outside of JAX; padding is zeros."""
+    """An observation as arrays for learners outside JAX; padding is zeros."""
 
     agent: Float[Array, " n_u"]
     targets: Float[Array, "n features"]
@@ -122,10 +122,10 @@ class Features(NamedTuple):
         return jnp.concatenate([self.agent, self.targets.ravel(), self.mask, self.left])
 
 
-def policy_features(
+def masked_features(
     observation: Observation, left: Scalar, space: Space, frame: Frame, length_m: float = 1.0, scale: Scale = "plain"
 ) -> Features:
-    """`policy_inputs`, who is present, and the share of steps that is `left`."""
+    """Return `policy_inputs` with padding as zeros, the mask of present targets, and the share of steps `left`."""
     agent, targets = policy_inputs(observation, space, frame, length_m, scale)
     present = observation.present
     return Features(

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from foveate.experiment.experiment import REACH, Experiment
+from foveate.experiment.experiment import POINTER_LENGTH_DEPTHS, Experiment
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.policies.pointer import PointerSettings
 from foveate.recordings.motion import MotionStatistics
@@ -57,7 +57,7 @@ def fit_experiment(
     )
     return Experiment(
         scenario=scenario,
-        policy=PointerSettings(kind="pointer", length_m=REACH * robot.depth_m),
+        policy=PointerSettings(kind="pointer", length_m=POINTER_LENGTH_DEPTHS * robot.depth_m),
         training=training,
     )
 

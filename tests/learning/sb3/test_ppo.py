@@ -19,8 +19,9 @@ from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.presets import PPO, PPOSettings, TrainingSettings
 from foveate.experiment.run_folder import BEST, METRICS
 from foveate.learning import loop as training
+from foveate.learning.run_files import stored_run
 from foveate.learning.sb3 import ppo
-from foveate.learning.validation import held_out_episodes, judge
+from foveate.learning.validation import held_out_episodes, validate
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -261,7 +262,7 @@ def untimed(run: Path) -> list[dict[str, Any]]:
 def test_a_run_from_end_to_end(tmp_path: Path) -> None:
     """Checks where they are due, the best kept, the same weights from the same seed, no torch to read them."""
     checks = []
-    outcome = ppo.train(TINY, tmp_path / "a", seed=3, report=lambda check, total: checks.append((check, total)))
+    outcome = ppo.train(TINY, tmp_path / "a", seed=3, on_validation=lambda check, total: checks.append((check, total)))
     assert [(check.epoch, check.env_steps, total) for check, total in checks] == [
         (2, 256, 600),
         (4, 512, 600),
@@ -276,7 +277,7 @@ def test_a_run_from_end_to_end(tmp_path: Path) -> None:
     assert experiment == TINY
     assert facts == {"seed": 3, "epoch": outcome.best_epoch, "held_out": outcome.best_score}
     keys = jax.random.split(jax.random.key(3), 4)
-    score, _ = eqx.filter_jit(lambda p, e: judge(TINY, PROBLEM, p, e, keys[3]))(
+    score, _ = eqx.filter_jit(lambda p, e: validate(TINY, PROBLEM, p, e, keys[3]))(
         policy, held_out_episodes(TINY, PROBLEM, keys[1])
     )
     assert float(score) == pytest.approx(outcome.best_score, abs=1e-12), "the file holds the policy that earned it"
@@ -286,8 +287,8 @@ def test_a_run_from_end_to_end(tmp_path: Path) -> None:
     assert untimed(tmp_path / "a") == untimed(tmp_path / "b")
     with pytest.raises(ValueError, match="exists already"):
         ppo.train(TINY, tmp_path / "a")
-    with pytest.raises(ValueError, match="does not go on"):
-        training.stored_run(tmp_path / "a")
+    with pytest.raises(ValueError, match="cannot be resumed"):
+        stored_run(tmp_path / "a")
     with pytest.raises(ValueError, match=r"training\.algorithm = 'ppo'"):
         training.train(TINY, tmp_path / "c")
 

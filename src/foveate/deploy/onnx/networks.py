@@ -5,8 +5,8 @@ from onnx import TensorProto
 
 from foveate.deploy.onnx.graph import Graph, body_inputs, features, logarithm, only_present, packed
 from foveate.policies.attention import AttentionPolicy
-from foveate.policies.inputs import HORIZON_STEPS, LAST_STEPS, LEAST_RANGE_M, MOST_UNITS, USUAL_TARGETS
-from foveate.policies.pointer import NEVER, PointerPolicy, SetEncoder
+from foveate.policies.inputs import FINAL_STEPS, MAX_STEPS_LEFT, MIN_RANGE_M, STEPS_LEFT_UNIT, TARGETS_UNIT
+from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerPolicy, SetEncoder
 
 
 def attention(graph: Graph, policy: AttentionPolicy, state_size: int) -> str:
@@ -40,8 +40,8 @@ def set_encoder(graph: Graph, network: SetEncoder, state_size: int, input_size: 
     mean, information, rotation = body_inputs(graph, network.space, state_size)
     position = graph("Slice", mean, [0], [d], [2])
     square = graph("ReduceSum", graph("Mul", position, position), [2])
-    distance = graph("Sqrt", graph("Add", square, LEAST_RANGE_M**2))
-    # The order of these inputs is that of `policies.inputs.rich_inputs`.
+    distance = graph("Sqrt", graph("Add", square, MIN_RANGE_M**2))
+    # The order of these inputs is that of `policies.inputs.pointer_features`.
     own_inputs = [features(graph, mean, information, network.length_m, "asinh")]
     own_inputs += [only_present(graph, x) for x in (graph("Div", position, distance), graph("Log", distance))]
     if input_size == d:
@@ -50,9 +50,9 @@ def set_encoder(graph: Graph, network: SetEncoder, state_size: int, input_size: 
     count = graph("ReduceSum", graph("Cast", "present", to=TensorProto.FLOAT), [1])
     common = graph(
         "Concat",
-        graph("Min", graph("Div", left, HORIZON_STEPS), MOST_UNITS),
-        graph("Exp", graph("Div", left, -LAST_STEPS)),
-        graph("Div", count, USUAL_TARGETS),
+        graph("Min", graph("Div", left, STEPS_LEFT_UNIT), MAX_STEPS_LEFT),
+        graph("Exp", graph("Div", left, -FINAL_STEPS)),
+        graph("Div", count, TARGETS_UNIT),
         axis=1,
     )
     # The three numbers `common` to all targets stand in the middle of a target's inputs: their part of the first layer
@@ -83,7 +83,8 @@ def pointer(graph: Graph, policy: PointerPolicy, state_size: int, input_size: in
     per_mode = np.asarray(last.bias).size // policy.per_target
     numbers = graph("Reshape", numbers, [0, 0, policy.per_target, per_mode])
     present = graph("Unsqueeze", "present", [2])
-    log_weight = graph("Where", present, graph("Squeeze", graph("Slice", numbers, [0], [1], [3]), [3]), NEVER)
+    log_weight = graph("Squeeze", graph("Slice", numbers, [0], [1], [3]), [3])
+    log_weight = graph("Where", present, log_weight, PADDING_LOG_WEIGHT)
     actions = graph("Reshape", graph("Slice", numbers, [1], [per_mode], [3]), [0, -1, per_mode - 1])
     (idle_layer,) = policy.idle_layers
     idle = graph.dense(context, idle_layer)

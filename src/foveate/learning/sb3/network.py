@@ -1,6 +1,6 @@
-"""The paper's network once more, in PyTorch: actor and critic for Stable-Baselines3, and the way back into JAX.
+"""Actor and critic for Stable-Baselines3: the paper's network in PyTorch, and its conversion to JAX.
 
-An observation is one row of numbers: those about the agent, those about each target, one flag a target (1: present, 0:
+An observation is one row: the features of the agent, those of each target, one flag per target (1: present, 0:
 padding), and last the share of its steps that an episode has left, which only a critic may read.
 """
 
@@ -22,7 +22,7 @@ from torch import nn
 
 from foveate.models.problem import Problem
 from foveate.policies.attention import AttentionPolicy, AttentionSettings
-from foveate.policies.inputs import policy_features
+from foveate.policies.inputs import masked_features
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
@@ -30,16 +30,16 @@ from foveate.types import Scalar
 def flat_inputs(
     problem: Problem, settings: AttentionSettings, observation: Observation, left: Scalar
 ) -> Float[Array, " size"]:
-    """Exactly what `AttentionPolicy` is told, padding as zeros, and the share of steps that is `left`."""
-    return policy_features(
+    """The features of `AttentionPolicy`, padding as zeros, and the share of steps that is `left`."""
+    return masked_features(
         observation, left, problem.agent.space, settings.frame, settings.length_m, settings.information
     ).row
 
 
 class Attention(nn.Module):
-    """`AttentionPolicy` up to its last layer, of any number of outputs and without tanh.
+    """`AttentionPolicy` up to its last layer, with any number of outputs and without tanh.
 
-    PyTorch's own first weights are those of `AttentionSettings.policy`: uniform within 1 / sqrt(inputs), biases too.
+    PyTorch's initial weights are those of `AttentionSettings.policy`: uniform within 1 / sqrt(inputs), biases too.
     """
 
     def __init__(self, problem: Problem, settings: AttentionSettings, outputs: int, sees_time: bool) -> None:
@@ -53,7 +53,7 @@ class Attention(nn.Module):
         self.out_layers = _layers(2 * embedding + sees_time, *settings.out_widths, outputs)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        """Rows of observations (batch, size) to outputs (batch, outputs)."""
+        """Map rows of observations (batch, size) to outputs (batch, outputs)."""
         n = (rows.shape[1] - self.agent_size - 1) // (self.feature_size + 1)
         agent, targets, mask, left = rows.split([self.agent_size, n * self.feature_size, n, 1], dim=1)
         targets = targets.reshape(len(rows), n, self.feature_size)
@@ -77,7 +77,7 @@ def _layers(*widths: int) -> nn.ModuleList:
 
 
 class ActorAndCritic(ActorCriticPolicy):
-    """Two networks of their own: tanh of the actor's is the mean of the Gaussian, the critic's one output the value."""
+    """Separate networks: tanh of the actor's output is the mean of the Gaussian, the critic's output the value."""
 
     def __init__(
         self,
@@ -90,29 +90,29 @@ class ActorAndCritic(ActorCriticPolicy):
         critic_sees_time: bool,
         **options: Any,
     ) -> None:
-        self._made_for = (problem, settings)
+        self._problem, self._settings = problem, settings
         self._critic_sees_time = critic_sees_time
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
     def _build(self, lr_schedule: Schedule) -> None:
-        outputs = len(self._made_for[0].agent.axes)
-        self.mlp_extractor = _Both(
-            Attention(*self._made_for, outputs, sees_time=False),
-            Attention(*self._made_for, 1, sees_time=self._critic_sees_time),
+        outputs = len(self._problem.agent.axes)
+        self.mlp_extractor = _ActorCriticBody(
+            Attention(self._problem, self._settings, outputs, sees_time=False),
+            Attention(self._problem, self._settings, 1, sees_time=self._critic_sees_time),
         )
         self.action_net, self.value_net = nn.Tanh(), nn.Identity()
         self.log_std = nn.Parameter(torch.full((outputs,), self.log_std_init))
-        # Stable-Baselines3's Adam, in one kernel in place of a dozen a weight.
+        # Stable-Baselines3's Adam, fused: one kernel in place of a dozen per weight.
         self.optimizer = torch.optim.Adam(self.parameters(), lr=lr_schedule(1), fused=True, **self.optimizer_kwargs)
 
     @property
     def actor(self) -> Attention:
-        """The network that decides."""
-        return cast(_Both, self.mlp_extractor).actor
+        """The network that chooses actions."""
+        return cast(_ActorCriticBody, self.mlp_extractor).actor
 
 
-class _Both(nn.Module):
-    """In the place where Stable-Baselines3 has the bodies of its networks."""
+class _ActorCriticBody(nn.Module):
+    """Takes the place of Stable-Baselines3's feature extractor, with one network for each head."""
 
     def __init__(self, actor: Attention, critic: Attention) -> None:
         super().__init__()
@@ -129,11 +129,11 @@ class _Both(nn.Module):
 
 
 def to_jax(actor: Attention, problem: Problem, settings: AttentionSettings) -> AttentionPolicy:
-    """The policy that decides as the actor's mean action does, without torch."""
+    """Convert the actor to the JAX policy whose action is the actor's mean action."""
     shape = eqx.filter_eval_shape(lambda key: settings.policy(problem, key), jax.random.key(0))
     chains = [actor.agent_layers, actor.target_layers, actor.out_layers]
     names = ("weight", "bias")
-    # Copied below: torch goes on training in the memory that its numpy views share.
+    # Copied by jnp.array: numpy views share the memory in which torch continues to train.
     weights = [layer.get_parameter(name).detach().numpy() for chain in chains for layer in chain for name in names]
     return eqx.tree_at(_weights, shape, [jnp.array(x, float) for x in weights])
 

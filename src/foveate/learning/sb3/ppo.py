@@ -1,7 +1,7 @@
-"""The paper's rival: proximal policy optimisation, model-free, by Stable-Baselines3 (extra `ppo`).
+"""Train by PPO of Stable-Baselines3 (extra `ppo`), the model-free baseline of the paper.
 
-It learns on the same episodes, from the same numbers, with the same network and limits as the policy gradient, is
-judged on the same held-out scenes as often, and its best policy is kept in the same run folder, as JAX arrays.
+It learns on the same episodes, from the same features, with the same network and limits as the policy gradient, is
+validated on the same held-out scenes, and its best policy is kept in the same run folder, as JAX arrays.
 """
 
 # Without the extra `ppo` there is no torch to check against.
@@ -9,7 +9,7 @@ judged on the same held-out scenes as often, and its best policy is kept in the 
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -19,12 +19,13 @@ import jax
 import numpy as np
 
 from foveate.errors import InputError
-from foveate.experiment.checkpoint import save_tree, write_config
+from foveate.experiment.checkpoint import write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
-from foveate.experiment.run_folder import BEST, Outcome, Validation, claim
+from foveate.experiment.run_folder import Outcome, Validation, claim
+from foveate.learning.run_files import RunFiles
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import held_out_episodes, judge, write_validation
+from foveate.learning.validation import OnValidation, held_out_episodes, validate
 from foveate.policies.attention import AttentionSettings
 from foveate.simulation.environment import Environment
 
@@ -33,67 +34,73 @@ if TYPE_CHECKING:
     from stable_baselines3.common.callbacks import BaseCallback
 
 
-NEVER = 10**9
-"""Updates after which Stable-Baselines3 writes its own log, were it asked for one."""
-
-
-Report = Callable[[Validation, int], None]
+LOG_INTERVAL_UPDATES = 10**9
+"""Updates between two lines of Stable-Baselines3's own log: more than a training has, since ours replaces it."""
 
 
 class _Validator:
-    """Judges the actor of a PPO now and then, keeps the best, and writes it all down."""
+    """Validates the actor of a PPO, keeps the best, and writes the files of the run."""
 
-    def __init__(self, experiment: Experiment, out: Path, seed: int, report: Report, events: Events) -> None:
+    def __init__(self, files: RunFiles, events: Events, on_validation: OnValidation) -> None:
+        experiment = files.experiment
         problem = experiment.scenario.problem()
-        keys = jax.random.split(jax.random.key(seed), 4)  # as the policy gradient: the same scenes are held out
-        episodes = held_out_episodes(experiment, problem, keys[1])
-        assess = eqx.filter_jit(lambda policy, episodes: judge(experiment, problem, policy, episodes, keys[3]))
-        self.problem, self.assess = problem, lambda policy: assess(policy, episodes)
-        self.experiment, self.out, self.seed, self.report, self.events = experiment, out, seed, report, events
-        self.best_score, self.best_epoch, self.epoch, self.stopped = -math.inf, 0, 0, ""
+        # As for the JAX learners: the same seed holds out the same scenes.
+        _, scenes_key, _, validation_key = jax.random.split(jax.random.key(files.seed), 4)
+        episodes = held_out_episodes(experiment, problem, scenes_key)
+        score_of = eqx.filter_jit(
+            lambda policy, episodes: validate(experiment, problem, policy, episodes, validation_key)
+        )
+        self.problem, self.score_of = problem, lambda policy: score_of(policy, episodes)
+        self.files, self.events, self.on_validation = files, events, on_validation
+        self.best_score, self.best_epoch, self.epoch, self.stop_reason = -math.inf, 0, 0, ""
         self.scores: list[float] = []
         self.began = self.last = time.perf_counter()
         self.last_epoch = 0
 
-    def check(self, model: "PPO", training: PPOSettings) -> None:
-        """One check; sets `stopped` where a number is not finite."""
+    def validate(self, model: "PPO", training: PPOSettings) -> None:
+        """Validate the actor once; sets `stop_reason` where a number is not finite."""
         from foveate.learning.sb3.network import ActorAndCritic, to_jax
 
-        policy = to_jax(cast(ActorAndCritic, model.policy).actor, self.problem, network_of(self.experiment))
-        held_out, at_limit = (float(x) for x in self.assess(policy))
+        policy = to_jax(cast(ActorAndCritic, model.policy).actor, self.problem, network_of(self.files.experiment))
+        held_out, at_limit = (float(x) for x in self.score_of(policy))
+        # Weights that are not finite may give a finite score all the same, by tanh and the limits of the agent.
         finite = _is_finite(model) and math.isfinite(held_out)
         best = finite and held_out > self.best_score
-        now = time.perf_counter()
-        check = Validation(
+        ended = time.perf_counter()
+        validation = Validation(
             epoch=self.epoch,
             objective=float(np.mean(self.scores)) if self.scores else math.nan,
             gradient_norm=None,
             held_out=held_out,
             at_limit=at_limit,
             best=best,
-            epochs_per_s=(self.epoch - self.last_epoch) / (now - self.last),
-            elapsed_s=now - self.began,
+            epochs_per_s=(self.epoch - self.last_epoch) / (ended - self.last),
+            elapsed_s=ended - self.began,
             event="" if finite else "not finite",
             env_steps=model.num_timesteps,
         )
-        self.last, self.last_epoch, self.scores = now, self.epoch, []
+        self.last, self.last_epoch, self.scores = ended, self.epoch, []
         if best:
             self.best_score, self.best_epoch = held_out, self.epoch
-            facts = {"seed": self.seed, "epoch": self.epoch, "held_out": held_out}
-            save_tree(self.out / BEST, policy, self.experiment, "policy", facts)
+            self.files.save_best(policy, validation)
         if not finite:
-            self.stopped = f"epoch {self.epoch}: a weight or score was not finite; the best is kept"
-        write_validation(self.out, check, self.events)
+            self.stop_reason = f"epoch {self.epoch}: a weight or score was not finite; the best is kept"
+        self.files.append(validation, self.events)
         self.events.add({name: float(value) for name, value in model.logger.name_to_value.items()}, self.epoch)
-        self.report(check, training.steps)
+        self.on_validation(validation, training.steps)
 
 
-def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lambda check, total: None) -> Outcome:
-    """Train a policy by PPO into the run folder `out`; `report` is called at every check, with the steps of all.
+def train(
+    experiment: Experiment,
+    out: Path,
+    seed: int = 0,
+    on_validation: OnValidation = lambda validation, total: None,
+) -> Outcome:
+    """Train a policy by PPO into the run folder `out`.
 
     The same experiment and seed give the same checkpoint on the same machine. The policy that is kept is the best on
-    held-out scenes, as with the policy gradient; the last line of the metrics tells how the final one did. Seeds the
-    generators of Python, numpy and torch. Raises ValueError where `out` holds a run already, where the experiment
+    held-out scenes, as with the policy gradient; the last line of the metrics is about the final one. Seeds the
+    generators of Python, numpy and torch. Raises InputError where `out` holds a run already, where the experiment
     is not one of PPO, and where Stable-Baselines3 is not installed.
     """
     training = experiment.training
@@ -103,34 +110,36 @@ def train(experiment: Experiment, out: Path, seed: int = 0, report: Report = lam
     _require_extra()
     claim(out, experiment)
     write_config(out, experiment)
+    files = RunFiles(out=out, experiment=experiment, seed=seed)
     with Events(out) as events, _one_thread():
-        judge = _Validator(experiment, out, seed, report, events)
+        validator = _Validator(files, events, on_validation)
         model = make_ppo(experiment, training, seed)
         try:
-            model.learn(training.steps, _callback(judge, training), log_interval=NEVER)
+            model.learn(training.steps, _callback(validator, training), log_interval=LOG_INTERVAL_UPDATES)
         except ValueError as error:
             # torch rejects a Gaussian whose mean is not a number.
             if _is_finite(model):
                 raise
-            judge.stopped = f"epoch {judge.epoch}: a weight was not finite ({type(error).__name__}); the best is kept"
+            what = f"a weight was not finite ({type(error).__name__})"
+            validator.stop_reason = f"epoch {validator.epoch}: {what}; the best is kept"
     return Outcome(
-        epochs=judge.epoch,
-        best_epoch=judge.best_epoch,
-        best_score=judge.best_score,
+        epochs=validator.epoch,
+        best_epoch=validator.best_epoch,
+        best_score=validator.best_score,
         rollbacks=0,
-        stopped=judge.stopped,
+        stopped=validator.stop_reason,
     )
 
 
 def network_of(experiment: Experiment) -> AttentionSettings:
-    """The network that PPO trains. Raises ValueError for one that has no twin in PyTorch here."""
+    """The network that PPO trains. Raises InputError for one that is not implemented in PyTorch here."""
     if not isinstance(experiment.policy, AttentionSettings):
         raise InputError(f"policy.kind = '{experiment.policy.kind}': expected 'attention', the network that PPO trains")
     return experiment.policy
 
 
 def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
-    """Stable-Baselines3's PPO on the experiment's environments, before its first step."""
+    """Build Stable-Baselines3's PPO on the experiment's environments, before its first step."""
     from stable_baselines3 import PPO
 
     from foveate.learning.sb3.network import ActorAndCritic
@@ -142,6 +151,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
         environment, network_of(experiment), training.environments, jax.random.key(seed), training.reward_scale
     )
     rate = training.learning_rate
+    # The last rollout may pass the number of steps: the share left, which the schedule follows, then falls below 0.
     return PPO(
         ActorAndCritic,
         vec_env,
@@ -166,18 +176,18 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
     )
 
 
-def _callback(judge: _Validator, training: PPOSettings) -> "BaseCallback":
+def _callback(validator: _Validator, training: PPOSettings) -> "BaseCallback":
     from stable_baselines3.common.callbacks import BaseCallback
 
-    class Checks(BaseCallback):
-        """Counts updates and final scores; checks after the update that fills a multiple of `check_every` steps."""
+    class Validations(BaseCallback):
+        """Counts updates and final scores; validates after the update that completes `check_every` more steps."""
 
         model: Any
         due = training.check_every
 
         def _on_step(self) -> bool:
-            judge.scores += [info["score"] for info in self.locals["infos"] if info]
-            return not judge.stopped
+            validator.scores += [info["score"] for info in self.locals["infos"] if info]
+            return not validator.stop_reason
 
         def _on_rollout_start(self) -> None:
             # Each rollout but the first begins after an update.
@@ -188,12 +198,12 @@ def _callback(judge: _Validator, training: PPOSettings) -> "BaseCallback":
             self._updated()
 
         def _updated(self) -> None:
-            judge.epoch += 1
+            validator.epoch += 1
             if self.num_timesteps >= self.due or self.num_timesteps >= training.steps:
-                judge.check(self.model, training)
+                validator.validate(self.model, training)
                 self.due += training.check_every
 
-    return Checks()
+    return Validations()
 
 
 def _is_finite(model: "PPO") -> bool:
@@ -209,7 +219,7 @@ def _require_extra() -> None:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Networks this small run faster on one thread than on several."""
+    """Run torch on one thread: networks this small are slower on several."""
     import torch
 
     before = torch.get_num_threads()

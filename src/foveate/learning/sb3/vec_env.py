@@ -1,4 +1,4 @@
-"""The batched environment as a `VecEnv` of Stable-Baselines3: one compiled program, no Python object a copy."""
+"""Batched environment as a `VecEnv` of Stable-Baselines3: one compiled program, no Python object per copy."""
 
 # Without the extra `ppo` there is no Stable-Baselines3 to check against.
 # pyright: reportMissingImports=false
@@ -20,12 +20,12 @@ from foveate.types import Key, Scalar
 
 
 class TargetsVecEnv(VecEnv):
-    """`count` environments side by side; an observation is a row of `flat_inputs`, an action in [-1, 1] an axis.
+    """`count` environments in one batch; observations are rows of `flat_inputs`, actions in [-1, 1] for each axis.
 
-    The horizon belongs to the task, and nothing that happens after it is worth anything: the end of an episode is
-    `terminated`, never `TimeLimit.truncated`, so that no learner adds the value of a state beyond it. The rows of an
-    episode's end are in `infos[i]["terminal_observation"]`, its last score in `infos[i]["score"]`, and the sum of its
-    rewards (as given, times `reward_scale`) and its length in `infos[i]["episode"]`, where Stable-Baselines3 looks.
+    The horizon belongs to the task, and nothing after it is worth anything: the end of an episode is `terminated`,
+    never `TimeLimit.truncated`, so that no learner bootstraps from the value of a state beyond it. At an episode's end
+    `infos[i]` holds the last observation as "terminal_observation", the last score as "score", and the sum of rewards
+    (times `reward_scale`) and the length as "episode", where Stable-Baselines3 looks for them.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class TargetsVecEnv(VecEnv):
         super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
 
     def reset(self) -> np.ndarray:
-        """Fresh episodes everywhere; the same ones after the same `seed`."""
+        """Begin a fresh episode in every environment; the same ones after the same `seed`."""
         if self._seeds[0] is not None:
             self._key = jax.random.key(self._seeds[0])
         self._reset_seeds()
@@ -51,11 +51,11 @@ class TargetsVecEnv(VecEnv):
         return self._batch.renew(jax.random.split(key, self.num_envs))[0]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = np.asarray(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Take the step: rows, rewards, ends, and what there is to say about those that ended."""
+        """Take the step; return observations, rewards, ends, and infos of the episodes that ended."""
         steps = self._batch.step(self._actions)
         reward = self._reward_scale * steps.reward
         self._returns += reward
@@ -71,21 +71,21 @@ class TargetsVecEnv(VecEnv):
         return steps.seen, reward, steps.done, infos
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Close nothing: no resource is open."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The attribute once for each environment; all are alike."""
+        """The attribute, repeated for each environment: all are alike."""
         value = None if attr_name == "render_mode" else getattr(self, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Rejected: there is one program for all environments."""
+        """Unsupported: there is one program for all environments."""
         raise NotImplementedError(f"{attr_name}: these environments are one compiled program and cannot be changed")
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Rejected: there is no object for each environment."""
+        """Unsupported: there is no object per environment."""
         raise NotImplementedError(f"{method_name}: these environments are one compiled program without methods")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """No environment is wrapped."""
+        """Always False: no environment is wrapped."""
         return [False for _ in self._get_indices(indices)]

@@ -1,0 +1,84 @@
+"""Measure the time of one decision by the number of targets, in JAX and in ONNX Runtime."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.bench.timing import Metric, in_turn, time_metric
+from foveate.experiment.experiment import Experiment
+from foveate.models.problem import Problem
+from foveate.simulation.records import Observation, Policy
+
+TARGETS = (1, 8, 64, 1000)
+"""Numbers of targets that a decision is timed for."""
+
+
+def observation_of(problem: Problem, targets: int) -> Observation:
+    """An observation of `targets` random beliefs."""
+    rng, n_y = np.random.default_rng(targets), problem.motion.state_size
+    return Observation(
+        step=jnp.zeros((), int),
+        left=jnp.array(10),
+        pose=problem.agent.space.identity(),
+        mean=jnp.asarray(rng.normal(0.0, 5.0, (targets, n_y)), jnp.float32),
+        information=jnp.asarray(np.broadcast_to(np.eye(n_y), (targets, n_y, n_y)), jnp.float32),
+        present=jnp.ones(targets, bool),
+        known_input=jnp.zeros((targets, problem.motion.input_size), jnp.float32),
+    )
+
+
+def jax_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
+    """Decisions of the paper's network, compiled by JAX."""
+    problem = experiment.scenario.problem()
+    policy: Policy = experiment.policy.policy(problem, jax.random.key(0))
+    decide, key = jax.jit(lambda observation, key: policy(observation, (), key)[0]), jax.random.key(0)
+
+    def decide_for(targets: int) -> Callable[[], Any]:
+        observation = observation_of(problem, targets)
+        return lambda: decide(observation, key)
+
+    return _decisions("jax", decide_for, repeats)
+
+
+def onnx_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
+    """Decisions of the exported network by ONNX Runtime, on one thread; nothing where the extra is missing."""
+    try:
+        import onnxruntime
+    except ImportError:
+        return []
+    from foveate.deploy.onnx.export import to_onnx
+
+    problem = experiment.scenario.problem()
+    policy = experiment.policy.policy(problem, jax.random.key(0))
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    model = to_onnx(experiment, policy).SerializeToString()
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+    def decide_for(targets: int) -> Callable[[], Any]:
+        observation = observation_of(problem, targets)
+        inputs = {name: np.asarray(getattr(observation, name))[None] for name in ("pose", "mean", "information")}
+        inputs = {name: value.astype(np.float32) for name, value in inputs.items()}
+        inputs["present"] = np.asarray(observation.present)[None]
+        return lambda: session.run(None, inputs)
+
+    return _decisions("onnx", decide_for, repeats)
+
+
+def _decisions(name: str, decide_for: Callable[[int], Callable[[], Any]], repeats: int) -> list[Metric]:
+    """Time of one decision, called alone and waited for, by the number of targets."""
+    metrics = []
+    for targets in TARGETS:
+        # A decision takes microseconds: many are timed at once.
+        decide, calls = decide_for(targets), max(20, 4000 // targets)
+
+        def decide_all(decide=decide, calls=calls) -> None:
+            for _ in range(calls):
+                jax.block_until_ready(decide())
+
+        seconds = in_turn([decide_all], repeats)[:, 0] / calls
+        metrics.append(time_metric(f"decision_{name}_us_{targets}", seconds, unit="us"))
+    return metrics

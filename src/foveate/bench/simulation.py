@@ -1,0 +1,80 @@
+"""Measure simulation: rollouts, evaluation, environments and the omniscient planner."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.bench.timing import Metric, in_turn, rate_metric
+from foveate.evaluation.evaluate import prepare, simulate
+from foveate.experiment.experiment import Experiment
+from foveate.models.problem import first_information
+from foveate.planning.information import Future
+from foveate.planning.shooting import OMNISCIENT, plan
+from foveate.policies.inputs import masked_features
+from foveate.simulation.batch import Batch, Programs
+from foveate.simulation.environment import Environment
+from foveate.simulation.episodes import scene_episodes, training_episode
+from foveate.simulation.records import PROTOCOLS, SURROGATE, Episode, Observation
+from foveate.simulation.rollout import rollout
+from foveate.simulation.suites import own_suite
+
+ENVIRONMENTS = 1024
+"""Episodes of a batch of rollouts, and environments stepped in one batch."""
+
+
+PLANNED_SCENES, PLANNED_TARGETS = 4, 5
+"""Scenes that are planned at once, and the number of targets in each."""
+
+
+def simulation(experiment: Experiment, repeats: int) -> list[Metric]:
+    """Rollouts of training scenes without noise, and evaluation of the scenario's own suite by the real filter."""
+    problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+    policy = experiment.policy.policy(problem, jax.random.key(0))
+    keys = jax.random.split(jax.random.key(0), ENVIRONMENTS)
+    episodes = jax.jit(jax.vmap(lambda key: training_episode(problem, settings, key, noise=False)))(keys)
+    # Padding and steps after an episode's horizon are simulated, too, but do not count.
+    rollout_steps = float(jnp.sum(jnp.sum(episodes.present, axis=-1) * episodes.horizon))
+    play = jax.jit(jax.vmap(lambda e, k: rollout(problem, policy, e, SURROGATE, k).log_det))
+    suite = prepare(problem, settings, own_suite(settings, problem), episodes=4)
+    evaluation_steps = sum(len(scene.targets) * scene.horizon for scene in suite.scenes) * suite.episodes_per_scene
+    seconds = in_turn([lambda: play(episodes, keys), lambda: simulate(suite, policy, PROTOCOLS["true"])], repeats)
+    return [
+        rate_metric("rollout_target_steps_per_s", rollout_steps, seconds[:, 0]),
+        rate_metric("evaluation_target_steps_per_s", evaluation_steps, seconds[:, 1]),
+        rate_metric("evaluation_episodes_per_s", len(suite.scenes) * suite.episodes_per_scene, seconds[:, 1]),
+    ]
+
+
+def environments(experiment: Experiment, repeats: int) -> list[Metric]:
+    """Steps of a batch of environments, numpy arrays in and out, with episodes reset where they end."""
+    scenario = experiment.scenario
+    problem = scenario.problem()
+
+    def features(observation: Observation, left: jax.Array) -> jax.Array:
+        return masked_features(observation, left, problem.agent.space, "body").row
+
+    batch = Batch(Programs(Environment(problem, scenario.scenes, PROTOCOLS["true"], True), features, ENVIRONMENTS))
+    batch.renew(jax.random.split(jax.random.key(0), ENVIRONMENTS))
+    shape = (32, ENVIRONMENTS, batch.axes)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
+    seconds = in_turn([lambda: np.stack([batch.step(action).reward for action in actions])], repeats)[:, 0]
+    return [rate_metric(f"env_steps_per_s_{ENVIRONMENTS}", len(actions) * ENVIRONMENTS, seconds)]
+
+
+def planning(experiment: Experiment, repeats: int) -> list[Metric]:
+    """Scenes per second for which the omniscient planner makes a plan, from all its starts."""
+    problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+    suite = own_suite(settings, problem)
+    scenes = [scene for scene in suite if len(scene.targets) == PLANNED_TARGETS][:PLANNED_SCENES]
+    episodes = scene_episodes(problem, settings, scenes, seed=0, episodes=1)
+    keys = jax.random.split(jax.random.key(0), len(scenes))
+
+    def solve(episode: Episode, key: jax.Array) -> jax.Array:
+        assert episode.truth is not None, "scene_episodes always draws the truth"
+        information = first_information(problem, len(episode.mean))
+        future = Future(episode.pose, episode.truth.state[1:], information, episode.present, episode.horizon)
+        return plan(problem, future, OMNISCIENT["true"], key).score
+
+    program = jax.jit(jax.vmap(solve))
+    seconds = in_turn([lambda: program(episodes, keys)], repeats)[:, 0]
+    return [rate_metric("planner_scenes_per_s", len(scenes), seconds)]

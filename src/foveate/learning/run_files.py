@@ -1,0 +1,115 @@
+"""Write the files of a training at every validation, and read them back to resume it."""
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from foveate.errors import InputError
+from foveate.experiment.checkpoint import VERSION, load_tree, save_tree, write_config
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import PPOSettings
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, Validation, claim
+from foveate.io.files import append_line, read_text, write_atomic
+from foveate.io.npz import load_arrays
+from foveate.io.toml import load_toml, read_toml
+from foveate.learning.selection import Progress
+from foveate.learning.tensorboard import Events
+from foveate.simulation.records import Policy
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFiles:
+    """Files of one training in its run folder `out`.
+
+    `config_digest` is that of the stored config.toml, which an older version may have written otherwise; None takes
+    the experiment's.
+    """
+
+    out: Path
+    experiment: Experiment
+    seed: int
+    config_digest: str | None = None
+
+    def save(self, progress: Progress, validation: Validation, events: Events) -> None:
+        """Save a validated training."""
+        if validation.best:
+            self.save_best(progress.best.policy, validation)
+        # The last file decides where a resumed training continues: killed before it is there, all is written again.
+        self.append(validation, events)
+        self.save_last(progress, epoch=validation.epoch, elapsed_s=validation.elapsed_s)
+
+    def save_best(self, policy: Policy, validation: Validation) -> None:
+        """Save the best policy."""
+        # No time in it: the same experiment and seed give the same file.
+        facts = {"seed": self.seed, "epoch": validation.epoch, "held_out": validation.held_out}
+        save_tree(self.out / BEST, policy, self.experiment, "policy", facts, self.config_digest)
+
+    def append(self, validation: Validation, events: Events) -> None:
+        """Append a validation to the metrics and the TensorBoard events."""
+        row = {name: value if _is_json(value) else None for name, value in asdict(validation).items()}
+        append_line(self.out / METRICS, json.dumps(row))
+        names = ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s")
+        numbers = {name: value for name in names if (value := getattr(validation, name)) is not None}
+        events.add(numbers, validation.epoch)
+
+    def save_last(self, progress: Progress, epoch: int, elapsed_s: float) -> None:
+        """Save the state that a resumed training continues from."""
+        facts = {"seed": self.seed, "epoch": epoch, "elapsed_s": elapsed_s}
+        save_tree(self.out / LAST, progress, self.experiment, "training", facts, self.config_digest)
+
+
+def stored_run(run: Path) -> tuple[Experiment, int]:
+    """Read the experiment and the seed that a run folder was trained with, to resume it."""
+    if not (run / CONFIG).exists():
+        raise InputError(f"{run}: holds no training to resume: begin one, with --out {run}")
+    experiment = load_toml(Experiment, run / CONFIG)
+    if isinstance(experiment.training, PPOSettings):
+        raise InputError(f"{run}: was trained by PPO, which cannot be resumed: train again")
+    header, _ = load_arrays(run / LAST, "training", VERSION)
+    return experiment, int(header["facts"]["seed"])
+
+
+def start_run(out: Path, experiment: Experiment, seed: int, begun: Progress) -> tuple[RunFiles, Progress, float]:
+    """Make the run folder and save the training before its first epoch; return it with its files and 0 seconds."""
+    claim(out, experiment)
+    files = RunFiles(out=out, experiment=experiment, seed=seed)
+    files.save_last(begun, epoch=0, elapsed_s=0.0)
+    # Last, since it is what makes the folder a run: a training killed before has nothing to resume.
+    write_config(out, experiment)
+    return files, begun, 0.0
+
+
+def resume_run(out: Path, experiment: Experiment, seed: int, begun: Progress) -> tuple[RunFiles, Progress, float]:
+    """Read a training, in the structure of `begun`; return its state with its files and the seconds it took so far.
+
+    Lines of the metrics that were written after that state are removed. Raises InputError where the training was begun
+    with another experiment or seed.
+    """
+    stored, digest = read_toml(Experiment, out / CONFIG)
+    if stored != experiment:
+        raise InputError(f"{out}: was begun with another experiment: expected that of its {CONFIG}")
+    progress, facts = load_tree(out / LAST, begun, "training", digest)
+    if facts["seed"] != seed:
+        raise InputError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
+    lines = read_text(out / METRICS, "metrics of a run").splitlines()
+    epochs = [_epoch_of(out, lines, i) for i in range(len(lines))]
+    kept = [line for line, epoch in zip(lines, epochs, strict=True) if epoch <= int(progress.learner.epoch)]
+    write_atomic(out / METRICS, "".join(f"{line}\n" for line in kept).encode())
+    files = RunFiles(out=out, experiment=experiment, seed=seed, config_digest=digest)
+    return files, progress, float(facts["elapsed_s"])
+
+
+def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
+    """The epoch of a line of metrics; infinite for a last line that was cut while it was written."""
+    try:
+        return int(json.loads(lines[i])["epoch"])
+    except (ValueError, KeyError, TypeError) as error:
+        if i < len(lines) - 1:
+            raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to resume without it") from error
+        return float("inf")
+
+
+def _is_json(value: object) -> bool:
+    """JSON has no NaN and no infinity."""
+    return not isinstance(value, float) or math.isfinite(value)

@@ -1,0 +1,51 @@
+"""What is simulated and planned is counted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from foveate.bench import simulation
+from foveate.planning.shooting import PlanSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.suites import own_suite
+
+
+@pytest.fixture
+def five(tiny, monkeypatch, clock):
+    """Five targets for 2 steps in each of 2 episodes; every call takes 2 s."""
+    monkeypatch.setattr(simulation, "ENVIRONMENTS", 2)
+    monkeypatch.setattr(simulation, "in_turn", clock)
+    return replace(tiny, scenario=Scenario(scenes=SceneSettings(targets_min=5, targets_max=5, steps=2)))
+
+
+def test_steps_of_targets_are_counted(five, clock):
+    metrics = {metric.key: metric.value for metric in simulation.simulation(five, 1)}
+    scenes = own_suite(five.scenario.scenes, five.scenario.problem())
+    assert metrics == {
+        "rollout_target_steps_per_s": pytest.approx(2 * 5 * 2 / 2.0),
+        "evaluation_target_steps_per_s": pytest.approx(len(scenes) * 4 * 5 * 2 / 2.0),
+        "evaluation_episodes_per_s": pytest.approx(len(scenes) * 4 / 2.0),
+    }
+    rollouts, evaluation = clock.results
+    assert rollouts.shape == (2, 2, 5)
+    assert evaluation.log_det.shape == (len(scenes) * 4, 2, 5)
+
+
+def test_steps_of_environments_are_counted(five, clock):
+    (metric,) = simulation.environments(five, 1)
+    assert (metric.key, metric.value) == ("env_steps_per_s_2", pytest.approx(32 * 2 / 2.0))
+    (rewards,) = clock.results
+    assert rewards.shape == (32, 2)
+    assert np.isfinite(rewards).all()
+    assert np.ptp(rewards) > 0
+
+
+def test_planned_scenes_are_counted(five, clock, monkeypatch):
+    monkeypatch.setattr(simulation, "PLANNED_SCENES", 3)
+    monkeypatch.setattr(simulation, "OMNISCIENT", {"true": PlanSettings(starts=1, iterations=1)})
+    (metric,) = simulation.planning(five, 1)
+    assert (metric.key, metric.value, metric.better) == ("planner_scenes_per_s", pytest.approx(3 / 2.0), "higher")
+    (scores,) = clock.results
+    assert scores.shape == (3,)
