@@ -17,7 +17,7 @@ from foveate.learning.devices import use_cores
 use_cores()  # before anything wakes JAX up
 
 from foveate.cli.common import keep_compiled, print_table
-from foveate.evaluation.evaluate import evaluate, prepare, simulate
+from foveate.evaluation.evaluate import evaluate, evaluate_traces, prepare
 from foveate.evaluation.summary import summarise, write_result
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
@@ -53,7 +53,7 @@ def main() -> None:
     write_result(OUT / "table1.json", rows, summary, facts)
     _print(summary)
 
-    trace = simulate(suite, policy, PROTOCOLS["surrogate"])  # what the policy was trained for, as in the paper
+    trace = evaluate_traces(suite, policy, PROTOCOLS["surrogate"])  # what the policy was trained for, as in the paper
     films = []
     for targets in (3, 5, 7):
         i = next(i for i, scene in enumerate(suite.scenes) if scene.id == f"biased-{targets}-00")

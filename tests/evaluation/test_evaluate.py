@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
 
-from foveate.evaluation.evaluate import evaluate, prepare, simulate
+from foveate.evaluation.evaluate import evaluate, evaluate_traces, prepare
 from foveate.evaluation.metrics import chi_square_band, longest_run, measures
 from foveate.evaluation.summary import read_result, summarise, write_result
 from foveate.policies.heuristics import heuristic
@@ -159,7 +159,7 @@ def test_scenes_without_targets_stay_out_of_the_summary(rows):
 def always_seen():
     """Targets that are measured at every step, wherever the agent goes: 400 episodes."""
     suite = prepare(EVERYWHERE.problem(), EVERYWHERE.scenes, [THREE], seed=0, episodes=400)
-    return suite, simulate(suite, heuristic("random", suite.problem, 2.0), TRUE)
+    return suite, evaluate_traces(suite, heuristic("random", suite.problem, 2.0), TRUE)
 
 
 def test_an_honest_filter_has_an_honest_nees(always_seen):
@@ -179,7 +179,7 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
 def test_every_method_meets_the_same_chance(always_seen):
     """Where all is seen, the belief depends on the chance alone: the same for one who stands still."""
     suite, trace = always_seen
-    other = simulate(suite, heuristic("still", suite.problem, 2.0), TRUE)
+    other = evaluate_traces(suite, heuristic("still", suite.problem, 2.0), TRUE)
     assert np.abs(other.pose - trace.pose).max() > 1
     np.testing.assert_allclose(other.mean, trace.mean, atol=1e-12)
 
@@ -188,7 +188,7 @@ def test_chance_of_a_method_depends_on_seed_scene_and_episode_alone():
     """Contract: all randomness of an episode is drawn from (seed, scene id, episode); also that of `random`."""
     problem, settings = EVERYWHERE.problem(), EVERYWHERE.scenes
     policy = heuristic("random", problem, 2.0)
-    here = simulate(prepare(problem, settings, [THREE], seed=1), policy, TRUE)
-    there = simulate(prepare(problem, settings, [replace(THREE, id="other"), THREE], seed=1), policy, TRUE)
+    here = evaluate_traces(prepare(problem, settings, [THREE], seed=1), policy, TRUE)
+    there = evaluate_traces(prepare(problem, settings, [replace(THREE, id="other"), THREE], seed=1), policy, TRUE)
     np.testing.assert_array_equal(there.mean[1], here.mean[0])
     np.testing.assert_array_equal(there.action[1], here.action[0])

@@ -7,7 +7,7 @@ import pytest
 
 from foveate.recordings.formats import load_recording
 from foveate.recordings.motion import MotionStatistics, default_max_gap_s, fit_statistics, median_fix_interval_s
-from foveate.recordings.recording import MAX_CELLS, Recording, Track, resample, resample_slots, slots, window
+from foveate.recordings.recording import MAX_CELLS, Recording, Track, resample, window
 
 HEADER = "time_s,track_id,x_m,y_m\n"
 TRACKS = Path(__file__).resolve().parents[2] / ".." / "shared" / "tracks"
@@ -151,10 +151,11 @@ def test_interpolation_agrees_with_numpy_on_irregular_clocks():
     assert sampled.track_ids == ("0", "1", "2", "3", "4")
     for i, t in enumerate(tracks):
         inside = (sampled.times_s >= t.times_s[0]) & (sampled.times_s <= t.times_s[-1])
-        np.testing.assert_array_equal(sampled.present[:, i], inside)
-        for axis in range(3):  # numpy.interp holds the first and last value outside, as resample does
-            expected = np.interp(sampled.times_s, t.times_s, t.positions_m[:, axis])
-            np.testing.assert_allclose(sampled.positions_m[:, i, axis], expected, atol=1e-12)
+        rows, columns = np.nonzero(sampled.track_index == i)
+        np.testing.assert_array_equal(rows, np.flatnonzero(inside))
+        for axis in range(3):
+            expected = np.interp(sampled.times_s[inside], t.times_s, t.positions_m[:, axis])
+            np.testing.assert_allclose(sampled.positions_m[rows, columns, axis], expected, atol=1e-12)
 
 
 def test_a_long_gap_is_absent_and_holds_the_nearest_fix():
@@ -194,7 +195,7 @@ def test_sampling_refuses_what_makes_no_sense():
             resample(short, tau_s)
     for max_gap_s in (0.0, float("nan")):
         with pytest.raises(ValueError, match=r"^max_gap_s is .*; it must be a positive"):
-            resample_slots(short, 0.5, max_gap_s)
+            resample(short, 0.5, max_gap_s)
     with pytest.raises(ValueError, match=r"spans 1 s; it must span one step of 1.5 s at least"):
         resample(short, 1.5)
     with pytest.raises(ValueError, match=f"at most {MAX_CELLS} in all .* wrong times"):
@@ -218,27 +219,25 @@ def random_lives(rng, n) -> Recording:
 @pytest.mark.parametrize("seed", range(8))
 def test_columns_are_as_few_as_the_rule_allows(seed):
     made = random_lives(np.random.default_rng(seed), 40)
-    sampled = resample(made, 1.0, max_gap_s=1.5)
-    packed = slots(sampled)
-    lives = [np.flatnonzero(column)[[0, -1]] for column in sampled.present.T]
+    packed = resample(made, 1.0, max_gap_s=1.5)
+    # Fixes are at whole seconds, and no gap is bridged: a track is present where it has a fix.
+    fixes = [(t.times_s - made.start_s).astype(int) for t in made.tracks]
+    lives = [instants[[0, -1]] for instants in fixes]
     # A column is free again two instants after a life's last one: count lives that are one longer.
-    needed = max(sum(a <= k <= b + 1 for a, b in lives) for k in range(len(sampled.times_s)))
-    assert packed.present.shape == (len(sampled.times_s), needed)
+    needed = max(sum(a <= k <= b + 1 for a, b in lives) for k in range(len(packed.times_s)))
+    assert packed.present.shape == (len(packed.times_s), needed)
+    assert (packed.track_ids, packed.dropped) == (tuple(t.track_id for t in made.tracks), 0)
     np.testing.assert_array_equal(packed.present, packed.track_index >= 0)
     assert np.isfinite(packed.positions_m).all()
     for i, (first, last) in enumerate(lives):
         rows, columns = np.nonzero(packed.track_index == i)
-        np.testing.assert_array_equal(rows, np.flatnonzero(sampled.present[:, i]))
+        np.testing.assert_array_equal(rows, fixes[i])
         assert len(set(columns)) == 1
-        np.testing.assert_array_equal(packed.positions_m[rows, columns], sampled.positions_m[rows, i])
+        np.testing.assert_array_equal(packed.positions_m[rows, columns], made.tracks[i].positions_m)
         column = packed.track_index[:, columns[0]]
         assert set(column[first : last + 1]) <= {i, -1}  # nobody moves in during an inner gap
         assert (column[max(first - 1, 0) : first] == -1).all()
         assert (column[last + 1 : last + 2] == -1).all()
-    direct = resample_slots(made, 1.0, max_gap_s=1.5)
-    np.testing.assert_array_equal(direct.track_index, packed.track_index)
-    np.testing.assert_array_equal(direct.positions_m[direct.present], packed.positions_m[packed.present])
-    assert (direct.track_ids, direct.dropped) == (sampled.track_ids, sampled.dropped)
 
 
 def test_empty_columns_hold_the_last_known_position():
@@ -247,7 +246,7 @@ def test_empty_columns_hold_the_last_known_position():
         track([1, 2], [[1, 1], [2, 2]], "first"),
         track([5, 6], [[5, 5], [6, 6]], "second"),
     )
-    packed = resample_slots(made, 1.0, max_gap_s=10.0)
+    packed = resample(made, 1.0, max_gap_s=10.0)
     np.testing.assert_array_equal(packed.track_index[:, 1], [-1, 1, 1, -1, -1, 2, 2, -1, -1])
     np.testing.assert_array_equal(packed.positions_m[:, 1, 0], [1, 1, 2, 2, 2, 5, 6, 6, 6])
 
@@ -420,5 +419,5 @@ def test_real_recordings_match_their_description(name, tracks, span_s, median_m_
     assert (fit.at_once_median, fit.at_once_max) == (at_once, at_most)
     lower, upper = real.extent
     np.testing.assert_allclose(upper - lower, extent_m, atol=0.6)
-    packed = resample_slots(real, 0.5)
+    packed = resample(real, 0.5)
     assert at_most <= packed.present.shape[1] <= at_most + 2

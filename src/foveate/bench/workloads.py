@@ -22,7 +22,7 @@ import numpy as np
 
 from foveate.bench.timing import Metric, compilations, in_turn, matrix_product, peak_memory_mib, spread, timed
 from foveate.errors import InputError
-from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import TrainingSettings
 from foveate.experiment.presets import PRESETS
@@ -192,7 +192,9 @@ def simulation(experiment: Experiment, repeats: int) -> list[Metric]:
     play = jax.jit(jax.vmap(lambda e, k: rollout(problem, policy, e, SURROGATE, k).log_det))
     suite = prepare(problem, settings, own_suite(settings, problem), episodes=4)
     real = sum(len(scene.targets) * scene.horizon for scene in suite.scenes) * suite.episodes_per_scene
-    seconds = in_turn([lambda: play(episodes, keys), lambda: simulate(suite, policy, PROTOCOLS["true"])], repeats)
+    seconds = in_turn(
+        [lambda: play(episodes, keys), lambda: evaluate_traces(suite, policy, PROTOCOLS["true"])], repeats
+    )
     rollouts, evaluation = np.median(seconds, axis=0)
     count = len(suite.scenes) * suite.episodes_per_scene
     times: dict[str, Any] = {"unit": "1/s", "better": "higher", "per": "matmul"}
