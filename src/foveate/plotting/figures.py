@@ -1,5 +1,6 @@
 """Figures of results: episodes as they unfold, learning curves, recordings. Reads, never simulates."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     figure = new_figure(WIDTH, 4.0 + 0.07 * len(files))
     axes = figure.subplots()
     single = len(files) == 1
-    for file, validations, color in zip(files, histories, _colors(len(files)), strict=True):
+    for file, validations, color in zip(files, histories, itertools.cycle(CYCLE), strict=False):
         epochs = [each.epoch for each in validations]
         axes.plot(epochs, [each.objective for each in validations], color=color, lw=0.9, alpha=0.6)
         label = "held-out score" if single else file.resolve().parent.name
@@ -113,10 +114,6 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     handles = axes.get_legend_handles_labels()[0] + _curve_legend(single, collapsed)
     figure.legend(handles=handles, loc="outside lower center", ncols=4 if single else 3, fontsize=9, frameon=False)
     save(figure, path)
-
-
-def _colors(count: int) -> list[str]:
-    return [CYCLE[i % len(CYCLE)] for i in range(count)]
 
 
 def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
