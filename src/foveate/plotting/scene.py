@@ -132,19 +132,19 @@ class PlanarScene:
 
     def show(self, moment: int) -> None:
         """Move to a moment of the episode."""
-        now = snapshot(self.data, self.arc, moment, self.trail)
-        self.trails.set_data(*broken(now.tracks, now.tracked).T)
-        self.path.set_data(*now.path.T)
+        state = snapshot(self.data, self.arc, moment, self.trail)
+        self.trails.set_data(*broken(state.tracks, state.tracked).T)
+        self.path.set_data(*state.path.T)
         for view, border in zip(self.views, self.data.outline, strict=True):
-            view.set_xy(placed(now.pose, border))
-        self.agent.set_xy(placed(now.pose, self.size * KITE))
-        self.targets.set_data(*now.truth.T)
+            view.set_xy(placed(state.pose, border))
+        self.agent.set_xy(placed(state.pose, self.size * KITE))
+        self.targets.set_data(*state.truth.T)
         for areas, means, which in (
-            (self.seen, self.seen_means, now.seen),
-            (self.unseen, self.unseen_means, ~now.seen),
+            (self.seen, self.seen_means, state.seen),
+            (self.unseen, self.unseen_means, ~state.seen),
         ):
-            areas.set_verts(list(ellipses(now.estimate[which], now.covariance[which])))
-            means.set_data(*now.estimate[which].T)
+            areas.set_verts(list(ellipses(state.estimate[which], state.covariance[which])))
+            means.set_data(*state.estimate[which].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:
         """Set small numbers and the names of the axes asked for; y without a name has no numbers."""

@@ -151,26 +151,26 @@ class SpatialScene:
 
     def show(self, moment: int) -> None:
         """Move to a moment of the episode."""
-        now = snapshot(self.data, self.arc, moment, self.trail)
+        state = snapshot(self.data, self.arc, moment, self.trail)
         self.axes.view_init(ELEVATION, AZIMUTH + self.swing * (moment / max(1, len(self.arc) - 1) - 0.5))
         eye = self.axes.eye
-        self.trails.set_data_3d(*broken(now.tracks, now.tracked).T)
-        self.path.set_data_3d(*now.path.T)
-        self.path_shadow.set_data_3d(*self._on_floor(now.path).T)
-        posts = np.concatenate([now.truth, positions(now.pose)[None]])
+        self.trails.set_data_3d(*broken(state.tracks, state.tracked).T)
+        self.path.set_data_3d(*state.path.T)
+        self.path_shadow.set_data_3d(*self._on_floor(state.path).T)
+        posts = np.concatenate([state.truth, positions(state.pose)[None]])
         self.drops.set_data_3d(*broken(np.stack([posts, self._on_floor(posts)]), np.ones((2, len(posts)), bool)).T)
         self.shadows.set_data_3d(*self._on_floor(posts).T)
-        walls = [placed(now.pose, face) for face in self.faces]
+        walls = [placed(state.pose, face) for face in self.faces]
         self.view.set_verts(walls)
         self.view_shadow.set_verts([self._on_floor(wall) for wall in walls])
-        self.edges.set_segments([placed(now.pose, line) for line in self.data.outline])
-        self.agent.set_verts([placed(now.pose, self.size * DART[list(face)]) for face in DART_FACES])
-        self.targets.set_data_3d(*now.truth.T)
+        self.edges.set_segments([placed(state.pose, line) for line in self.data.outline])
+        self.agent.set_verts([placed(state.pose, self.size * DART[list(face)]) for face in DART_FACES])
+        self.targets.set_data_3d(*state.truth.T)
         for areas, net, means, which in (
-            (self.seen, self.seen_net, self.seen_means, now.seen),
-            (self.unseen, self.unseen_net, self.unseen_means, ~now.seen),
+            (self.seen, self.seen_net, self.seen_means, state.seen),
+            (self.unseen, self.unseen_net, self.unseen_means, ~state.seen),
         ):
-            belief = now.estimate[which], now.covariance[which]
+            belief = state.estimate[which], state.covariance[which]
             areas.set_verts(list(contours(*belief, eye)))
             net.set_segments(list(meridians(*belief, eye)))
             means.set_data_3d(*belief[0].T)

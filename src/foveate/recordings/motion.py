@@ -38,7 +38,9 @@ class MotionStatistics:
         displacement over tau about zero (it holds the mean motion too), symmetric positive definite [m^2].
         Fixes with noise of variance r per axis add 2 r to its diagonal.
     acceleration_intensity: white-noise acceleration intensity q of a constant-velocity model [m^2/s^3]; None
-        where no track has three fixes in a row. See `fit_statistics`.
+        where no track has three fixes in a row. Fixes with noise of variance r per axis add 9 r / h^3 to it, h the
+        time between fixes of a pair, which dominates at short h: an upper bound, to be trusted where it stays the
+        same for a longer tau.
     persistence: correlation of consecutive velocities, about zero: 1 straight on, 0 random walk, -1 back and
         forth; 0 where nothing moves; None as above.
     lifetime_s, lifetime_steps: median time from first to last fix of a track, and in steps of tau.
@@ -96,16 +98,7 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
     """Estimate the motion of a recording's targets for a control step of `tau_s`.
 
     `max_gap_s` is the longest gap between two fixes over which a target counts as present, and no pair of
-    fixes spans a longer one; None takes `default_max_gap_s`.
-
-    W: mean of dy dy^T over pairs of fixes about h apart, each dy scaled to one tau by (tau / dt)^(a/2). The
-    exponent a = 1 + log2(1 + max(persistence, 0)) says how the second moment grows with time: as 1 for a
-    random walk, as 2 for straight motion. It matters only where the fixes are further apart than tau.
-
-    q: for a velocity driven by white noise, two consecutive mean velocities over h1 and h2 differ by noise of
-    covariance q (h1 + h2) / 3, so q is the mean of 3 dv dv^T / (h1 + h2). Fixes with noise of variance r per
-    axis add 9 r / h^3 to it, which dominates at short h: q is an upper bound, to be trusted where it stays
-    the same for a longer tau.
+    fixes spans a longer one; None takes `default_max_gap_s`. Pairs are about max(tau, median fix interval) apart.
 
     Raises:
         InputError: as `foveate.recordings.recording.resample`, or no pair of fixes closer than the gap allows.
@@ -117,20 +110,13 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
     occupied = count[count > 0] if count.any() else np.ones(1, dtype=int)
     kept = [without_spikes(track) for track in recording.tracks]
     pairs = velocities(kept, max(tau_s, interval_s), gap_s)
-    if not len(pairs.dt):
-        raise InputError(
-            f"{recording.name}: no track has two fixes about {max(tau_s, interval_s):g} s apart "
-            f"without a gap over {gap_s:g} s; the median fix interval is {interval_s:g} s: "
-            "choose max_gap_s above it"
-        )
+    _check_pairs(pairs, recording.name, tau_s, interval_s, gap_s)
     positions = np.concatenate([track.positions_m for track in kept])
     lower, upper = recording.extent
     life_s = float(np.median([track.times_s[-1] - track.times_s[0] for track in recording.tracks]))
     speed = np.linalg.norm(pairs.velocity, axis=1)
     usual = _usual(speed)
     persistence, acceleration = _turning(pairs, usual)
-    exponent = 1.0 + log2(1.0 + max(persistence or 0.0, 0.0))
-    steps = pairs.velocity * (pairs.dt * (tau_s / pairs.dt) ** (exponent / 2.0))[:, None]
     robust_lower, robust_upper = np.percentile(positions, [1.0, 99.0], axis=0)
     return MotionStatistics(
         tau_s=tau_s,
@@ -148,7 +134,7 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
         robust_upper_m=robust_upper,
         speed_median_m_s=float(np.median(speed[usual])),
         speed_p95_m_s=float(np.percentile(speed[usual], 95.0)),
-        walk_covariance_m2=_second_moment(steps[usual]),
+        walk_covariance_m2=_walk_covariance(pairs, usual, persistence or 0.0, tau_s),
         acceleration_intensity=acceleration,
         persistence=persistence,
         lifetime_s=life_s,
@@ -157,6 +143,14 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
         spikes=sum(len(track.times_s) for track in recording.tracks) - len(positions),
         trimmed_fraction=1.0 - float(usual.mean()),
     )
+
+
+def _check_pairs(pairs: Velocities, name: str, tau_s: float, interval_s: float, gap_s: float) -> None:
+    if not len(pairs.dt):
+        raise InputError(
+            f"{name}: no track has two fixes about {max(tau_s, interval_s):g} s apart without a gap over {gap_s:g} s; "
+            f"the median fix interval is {interval_s:g} s: choose max_gap_s above it"
+        )
 
 
 def median_fix_interval_s(recording: Recording) -> float:
@@ -185,10 +179,27 @@ def _usual(size: Float[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
     return size <= _TRIM_FACTOR * np.percentile(size, _TRIM_PERCENTILE)
 
 
+def _walk_covariance(
+    pairs: Velocities, usual: Bool[np.ndarray, " pairs"], persistence: float, tau_s: float
+) -> Float[np.ndarray, "d d"]:
+    """W: mean of dy dy^T over pairs of fixes, each dy scaled from their span dt to one tau by (tau / dt)^(a/2).
+
+    The exponent a = 1 + log2(1 + max(persistence, 0)) of the growth of the second moment with time is 1 for a random
+    walk and 2 for straight motion. It matters only where the fixes are further apart than tau.
+    """
+    exponent = 1.0 + log2(1.0 + max(persistence, 0.0))
+    steps = pairs.velocity * (pairs.dt * (tau_s / pairs.dt) ** (exponent / 2.0))[:, None]
+    return _second_moment(steps[usual])
+
+
 def _turning(
     pairs: Velocities, usual: Bool[np.ndarray, " pairs"]
 ) -> tuple[float | None, Float[np.ndarray, "d d"] | None]:
-    """Persistence and white-noise acceleration intensity, from consecutive pairs."""
+    """Persistence and white-noise acceleration intensity q, from consecutive pairs; None without any.
+
+    For a velocity driven by white noise, two consecutive mean velocities over h1 and h2 differ by noise of covariance
+    q (h1 + h2) / 3, so q is the mean of 3 dv dv^T / (h1 + h2).
+    """
     first, second = pairs.turns[usual[pairs.turns].all(axis=1)].T
     if not len(first):
         return None, None

@@ -101,24 +101,12 @@ def prepare_replay(
         InputError: recording and scenario do not fit: dimensions, states without positions, a schedule, or positions
             too far from the origin for float32.
     """
-    d, problem = scenario.dimension, scenario.problem()
-    if not problem.motion.begins_with_position:
-        raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
-    if problem.schedule is not None:
-        raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
-    if recording.dimension != d:
-        raise InputError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
-    # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
-    far = float(np.abs(np.stack(recording.extent)).max())
-    if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
-        raise InputError(
-            f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
-            f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
-        )
+    problem = scenario.problem()
+    _check(scenario, problem, recording)
     slots = resample(recording, float(scenario.tau_s), float(max_gap_s))
     truth = _states(problem, slots)
     steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
-    rng = np.random.default_rng([seed, 0x7265706C])
+    rng = np.random.default_rng([seed, 0x7265706C])  # apart from the streams that evaluations draw from a seed
     error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((steps + 1, n, n_y)), float))
     first_mean = jnp.asarray(truth, float) + error
     noise = rng.standard_normal((steps, n, problem.sensor.H.shape[0]))
@@ -143,6 +131,26 @@ def prepare_replay(
         agent_start=start,
         seed=seed,
     )
+
+
+def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
+    """Raise InputError where a recording cannot be replayed in a scenario."""
+    if not problem.motion.begins_with_position:
+        raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
+    if problem.schedule is not None:
+        raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
+    if recording.dimension != scenario.dimension:
+        raise InputError(
+            f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has "
+            f"{scenario.dimension}"
+        )
+    # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
+    far = float(np.abs(np.stack(recording.extent)).max())
+    if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
+        raise InputError(
+            f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
+            f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
+        )
 
 
 def _states(problem: Problem, slots: Slots) -> np.ndarray:

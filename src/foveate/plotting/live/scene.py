@@ -164,28 +164,28 @@ class LiveScene:
 
     def show(self, moment: int) -> None:
         """Move everything to a moment of the episode."""
-        now = snapshot(self.data, self._arc, moment, TRAIL_STEPS)
+        state = snapshot(self.data, self._arc, moment, TRAIL_STEPS)
         layer = LAYER * self.size
-        R = rotation(now.pose)
-        self._agent.position = lifted(now.path[-1], 3 * layer)
+        R = rotation(state.pose)
+        self._agent.position = lifted(state.path[-1], 3 * layer)
         self._agent.wxyz = quaternion(R)
-        set_segments(self._path, [segments(lifted(now.path, 2 * layer))])
-        tracks = np.where(now.tracked[..., None], now.tracks, np.nan)
+        set_segments(self._path, [segments(lifted(state.path, 2 * layer))])
+        tracks = np.where(state.tracked[..., None], state.tracks, np.nan)
         set_segments(self._trails, [segments(lifted(track, layer)) for track in tracks.swapaxes(0, 1)])
-        mean, truth = lifted(now.estimate, 4 * layer), lifted(now.truth, 5 * layer)
+        mean, truth = lifted(state.estimate, 4 * layer), lifted(state.truth, 5 * layer)
         for i in range(self.data.targets):
             shown = i < len(truth)
             for each in (self._beliefs[i], self._borders[i], self._means[i], self._targets[i]):
                 each.visible = shown
             if not shown:
                 continue
-            tint, (turn, scale) = color(SEEN if now.seen[i] else UNSEEN), turn_and_scale(now.covariance[i])
+            tint, (turn, scale) = color(SEEN if state.seen[i] else UNSEEN), turn_and_scale(state.covariance[i])
             for each in (self._beliefs[i], self._borders[i]):
                 each.position, each.wxyz, each.scale = mean[i], turn, scale
             self._beliefs[i].color = self._means[i].color = tint
             self._borders[i].colors = np.array(tint, np.uint8)
             # For colour-blind readers beliefs differ in thickness, too.
-            self._borders[i].thickness = 4.0 if now.seen[i] else 1.5
+            self._borders[i].thickness = 4.0 if state.seen[i] else 1.5
             self._means[i].position, self._targets[i].position = mean[i], truth[i]
 
 
