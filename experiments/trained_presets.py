@@ -18,7 +18,7 @@ import jax
 
 import foveate
 from foveate.api import load, train
-from foveate.evaluation.evaluate import Suite, prepare, rows_of, simulate
+from foveate.evaluation.evaluate import Suite, episode_rows, evaluate_traces, prepare
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.resolve import TRAINED
 from foveate.io.files import write_json
@@ -36,12 +36,12 @@ def played(preset: str) -> tuple[Suite, Trace]:
     known = own_suite(policy.scenario.scenes, policy.problem)
     chosen = [scene for i, scene in enumerate(known) if i % SUITE_SCENES_PER_CELL < SCORED]
     suite = prepare(policy.problem, policy.scenario.scenes, chosen)
-    return suite, simulate(suite, policy.network, PROTOCOLS["true"], chunk=len(chosen))
+    return suite, evaluate_traces(suite, policy.network, PROTOCOLS["true"], chunk=len(chosen))
 
 
 def scores(suite: Suite, trace: Trace) -> dict[str, float]:
     """The true score [nat per target] in each scene, by its id."""
-    rows = rows_of(suite, "policy", "true", trace, [0.0] * len(suite.scenes))
+    rows = episode_rows(suite, "policy", "true", trace, [0.0] * len(suite.scenes))
     return {row.scene: round(row.score, 4) for row in rows if row.score is not None}
 
 

@@ -18,7 +18,8 @@ from foveate.models.belief import predict_information
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.heuristics import heuristic
 from foveate.recordings.formats import load_recording
-from foveate.recordings.replay import prepare_replay, replay, warnings_for
+from foveate.recordings.plausibility import warnings_for
+from foveate.recordings.replay import prepare_replay, replay
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings

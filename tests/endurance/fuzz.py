@@ -31,7 +31,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.io.toml import dumps_toml, load_toml
 from foveate.recordings.formats import load_recording
-from foveate.recordings.recording import resample_slots
+from foveate.recordings.recording import resample
 from foveate.scenario.scenes import read_scenes
 
 FORMATS = Path(__file__).parents[1] / "formats"
@@ -173,7 +173,7 @@ def readers() -> dict[str, Callable[[Path], object]]:
     space = scenario.problem().agent.space
 
     def recording(path: Path) -> object:
-        return resample_slots(load_recording(path), 0.5)
+        return resample(load_recording(path), 0.5)
 
     return {
         "recording": recording,

@@ -143,15 +143,17 @@ def faults(found: Soaked) -> list[str]:
 def tabs(count: int) -> str:
     """Open and close so many tabs on a live view; the view goes on. Says what happened."""
     sys.path.append(str(Path(__file__).parents[1]))
-    from test_view import CHROMIUM, Browser, made_up, wait_for
+    from plotting.live.test_server import CHROMIUM, Browser, made_up, wait_for
 
     from foveate.plotting.live import server as view
 
     if CHROMIUM is None:
         return "no chromium here: the live view was not looked at"
-    programme = view.Programme(scenes=("one",), methods=("still",), film=lambda scene, method: made_up(steps=400, n=4))
+    source = view.EpisodeSource(
+        scenes=("one",), methods=("still",), episode=lambda scene, method: made_up(steps=400, n=4)
+    )
     with tempfile.TemporaryDirectory() as folder, view._server(0) as server:
-        player = view.Player(server, programme)
+        player = view.Player(server, source)
         player.tick(0.0)
         browser = Browser(Path(folder))
         before = resident_mib()

@@ -25,14 +25,14 @@ def test_a_minute_of_the_loop():
 def test_the_live_view_forgets_who_has_left(tmp_path):
     """Twenty connections as a page opens them; tabs of a real browser: `make soak`."""
     viser = pytest.importorskip("viser", reason="needs the extra view")
-    from test_view import made_up, wait_for
+    from plotting.live.test_server import made_up, wait_for
     from websockets.sync.client import connect
 
     from foveate.plotting.live import server as view
 
-    programme = view.Programme(scenes=("one",), methods=("still",), film=lambda scene, method: made_up())
+    source = view.EpisodeSource(scenes=("one",), methods=("still",), episode=lambda scene, method: made_up())
     with view._server(0) as server:
-        player = view.Player(server, programme)
+        player = view.Player(server, source)
         player.tick(0.0)
         counts = []
         for _ in range(20):

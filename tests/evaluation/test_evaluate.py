@@ -1,98 +1,26 @@
-"""Measures by hand, by brute force and by scipy; the same chance for every method; an honest filter looks honest."""
+"""Evaluation: rows of episodes, the same noise for every method, a consistent filter has a consistent NEES."""
 
 from dataclasses import replace
 from importlib.metadata import version
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import chi2, multivariate_normal
 
-from foveate.evaluation.evaluate import evaluate, prepare, simulate
-from foveate.evaluation.metrics import chi_square_band, longest_run, measures
+from foveate.evaluation.evaluate import evaluate, evaluate_traces, prepare
+from foveate.evaluation.metrics import chi_square_band
 from foveate.evaluation.summary import read_result, summarise, write_result
 from foveate.policies.heuristics import heuristic
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
-from foveate.simulation.records import TRUE, Trace
+from foveate.simulation.records import TRUE
 
 PAPER = Scenario().problem()
 EVERYWHERE = Scenario(view=SectorView(depth_m=1e6, angle_deg=360.0), scenes=SceneSettings(initial_error="consistent"))
 ALONE = Scene(id="alone", agent=(0.0, 0.0, 0.0), targets=((1.0, 0.3),), drift=((0.2, 0.0),), horizon=4)
 THREE = Scene(id="three", agent=(0.0, 1.0, 2.0), targets=((1.0, 2.0),) * 3, drift=((0.0, 0.0),) * 3, horizon=6)
 EMPTY = Scene(id="empty", agent=(0.0, 0.0, 0.0), targets=(), drift=(), horizon=3)
-
-
-def brute_force_run(column):
-    best = 0
-    for start in range(len(column)):
-        for stop in range(start + 1, len(column) + 1):
-            if column[start:stop].all():
-                best = max(best, stop - start)
-    return best
-
-
-def test_longest_run():
-    rng = np.random.default_rng(0)
-    for share in (0.0, 0.3, 0.8, 1.0):
-        for steps in (1, 2, 12):
-            flags = rng.random((steps, 7)) < share
-            np.testing.assert_array_equal(
-                longest_run(flags, np.ones(len(flags))), [brute_force_run(c) for c in flags.T]
-            )
-
-
-@pytest.mark.parametrize("dof", [1, 2, 3, 4, 6])
-@pytest.mark.parametrize("count", [5, 30, 1000])
-def test_chi_square_band(dof, count):
-    expected = np.array(chi2.interval(0.95, dof * count)) / count
-    np.testing.assert_allclose(chi_square_band(dof, count), expected, rtol=0.05 if dof * count < 20 else 2e-3)
-
-
-def test_chi_square_band_of_a_single_episode_is_a_band():
-    for dof in (1, 2, 4):
-        low, high = chi_square_band(dof, 1)
-        expected = chi2.interval(0.95, dof)
-        assert 0 <= low < high
-        np.testing.assert_allclose(low, expected[0], atol=0.05)
-        np.testing.assert_allclose(high, expected[1], rtol=0.03)
-
-
-def test_measures_by_hand():
-    """Two targets, of which the second is never seen; three of five steps count, a third column is padding."""
-    scene = Scene(id="s", agent=(0.0,) * 3, targets=((0.0, 0.0),) * 2, drift=((0.0, 0.0),) * 2, horizon=3)
-    visible = np.array([[0, 0, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1], [1, 1, 1]], bool)
-    information = np.tile(np.eye(2), (6, 3, 1, 1)) * 1e6
-    information[3, 0], information[3, 1] = np.diag([4.0, 1.0]), np.diag([1.0, 9.0])
-    mean, truth = np.full((6, 3, 2), 77.0), np.zeros((6, 3, 2))
-    mean[3, :2] = [[0.5, 1.0], [3.0, -0.5]]
-    truth[3, :2] = [[0.0, 0.0], [3.0, 0.5]]
-    log_det = np.full((5, 3), 1e9)
-    log_det[2, :2] = [np.log(4), np.log(9)]
-    trace = Trace(*map(jnp.asarray, (np.zeros((6, 3)), np.zeros((5, 2)), mean, information, log_det, visible)),
-                  jnp.ones((6, 3), bool))  # fmt: skip
-    found = measures(replace_tau(0.5), jax.tree.map(np.asarray, trace), truth, scene)
-    entropies = [multivariate_normal(np.zeros(2), np.linalg.inv(information[3, j])).entropy() for j in range(2)]
-    expected = {
-        "score": (np.log(4) + np.log(9)) / 2,
-        "entropy": np.mean(entropies),
-        "seen_fraction": 0.5,
-        "seen_step_fraction": 1 / 6,
-        "longest_unseen_s": 3 * 0.5,
-        "rmse_m": np.sqrt((0.25 + 1.0 + 1.0) / 2),
-        "nees": ((4 * 0.25 + 1.0) + 9.0 * 1.0) / 2,
-        "rmse_seen_m": np.sqrt(1.25),
-        "rmse_unseen_m": 1.0,
-        "nees_seen": 2.0,
-        "nees_unseen": 9.0,
-    }
-    assert found == pytest.approx(expected, abs=1e-12)
-
-
-def replace_tau(tau):
-    return replace(Scenario(), tau_s=tau).problem()
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +87,7 @@ def test_scenes_without_targets_stay_out_of_the_summary(rows):
 def always_seen():
     """Targets that are measured at every step, wherever the agent goes: 400 episodes."""
     suite = prepare(EVERYWHERE.problem(), EVERYWHERE.scenes, [THREE], seed=0, episodes=400)
-    return suite, simulate(suite, heuristic("random", suite.problem, 2.0), TRUE)
+    return suite, evaluate_traces(suite, heuristic("random", suite.problem, 2.0), TRUE)
 
 
 def test_an_honest_filter_has_an_honest_nees(always_seen):
@@ -179,7 +107,7 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
 def test_every_method_meets_the_same_chance(always_seen):
     """Where all is seen, the belief depends on the chance alone: the same for one who stands still."""
     suite, trace = always_seen
-    other = simulate(suite, heuristic("still", suite.problem, 2.0), TRUE)
+    other = evaluate_traces(suite, heuristic("still", suite.problem, 2.0), TRUE)
     assert np.abs(other.pose - trace.pose).max() > 1
     np.testing.assert_allclose(other.mean, trace.mean, atol=1e-12)
 
@@ -188,7 +116,7 @@ def test_chance_of_a_method_depends_on_seed_scene_and_episode_alone():
     """Contract: all randomness of an episode is drawn from (seed, scene id, episode); also that of `random`."""
     problem, settings = EVERYWHERE.problem(), EVERYWHERE.scenes
     policy = heuristic("random", problem, 2.0)
-    here = simulate(prepare(problem, settings, [THREE], seed=1), policy, TRUE)
-    there = simulate(prepare(problem, settings, [replace(THREE, id="other"), THREE], seed=1), policy, TRUE)
+    here = evaluate_traces(prepare(problem, settings, [THREE], seed=1), policy, TRUE)
+    there = evaluate_traces(prepare(problem, settings, [replace(THREE, id="other"), THREE], seed=1), policy, TRUE)
     np.testing.assert_array_equal(there.mean[1], here.mean[0])
     np.testing.assert_array_equal(there.action[1], here.action[0])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.evaluation.metrics import chi_square_band
 from foveate.models.belief import Belief
 from foveate.models.missed_detection import given_missed_detection, standard_points
@@ -105,7 +105,7 @@ def test_a_filter_that_uses_absence_is_honest_of_what_it_looks_for_in_vain(absen
         for i, one in enumerate(places)
     ]
     suite = prepare(problem, replace(scenario.scenes, jitter_m_s=0.0), scenes, seed=0)
-    trace = simulate(suite, heuristic("still", problem, 2.0), TRUE)
+    trace = evaluate_traces(suite, heuristic("still", problem, 2.0), TRUE)
     error = trace.mean[:, 1] - np.asarray(suite.truth.state)[:, 1]
     nees = np.einsum("eni,enij,enj->en", error, trace.information[:, 1], error)
     in_vain = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible[:, 0]

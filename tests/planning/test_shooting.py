@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.presets import PRESETS
 from foveate.geometry.fov import ball
 from foveate.geometry.fov_spatial import cone, prism
@@ -280,7 +280,7 @@ class Gentle(Policy):
 def test_without_ascent_refinement_does_what_the_policy_does():
     suite = prepare(PROBLEM, PRESETS["paper"].scenario.scenes, [TWO], seed=3)
     refined = receding(replace(FEW, starts=1, iterations=0), Gentle())
-    plain, same = (simulate(suite, policy, TRUE, chunk=1).action for policy in (Gentle(), refined))
+    plain, same = (evaluate_traces(suite, policy, TRUE, chunk=1).action for policy in (Gentle(), refined))
     np.testing.assert_allclose(same, plain, atol=1e-12)
 
 
@@ -298,7 +298,7 @@ def test_online_planners_do_not_see_the_future():
     suite = prepare(PROBLEM, PRESETS["paper"].scenario.scenes, [TWO], seed=3)
     settings = replace(FEW, starts=3, iterations=10, keep=PAPER)
     here, there = (
-        simulate(one, receding(settings, Gentle()), SURROGATE, chunk=1).action[0]
+        evaluate_traces(one, receding(settings, Gentle()), SURROGATE, chunk=1).action[0]
         for one in (suite, changed_later(suite))
     )
     np.testing.assert_array_equal(here[0], there[0])

@@ -14,9 +14,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 from PIL import Image
 from scipy.linalg import expm
-from scipy.stats import chi2
 
-from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.presets import PRESETS
 from foveate.geometry.space import SPACES
 from foveate.plotting import animation, figures
@@ -48,7 +47,7 @@ def made_up(steps=4, n=3, seed=0, **changes) -> EpisodeData:
     return EpisodeData(**{**values, **changes})
 
 
-def stage(which: EpisodeData, moment: int, **options) -> drawing.PlanarScene:
+def scene(which: EpisodeData, moment: int, **options) -> drawing.PlanarScene:
     shown = drawing.PlanarScene(drawing.new_figure(3.0, 3.0).subplots(), which, drawing.limits([which]), **options)
     shown.show(moment)
     return shown
@@ -73,13 +72,13 @@ def real():
     ]
     ready = prepare(problem, settings, scenes)
     policy = experiment.policy.policy(problem, jax.random.key(0))
-    return problem, ready, simulate(ready, policy, TRUE)
+    return problem, ready, evaluate_traces(ready, policy, TRUE)
 
 
-# The film
+# Episode data
 
 
-def test_film_cuts_padding_and_inverts_the_information(real):
+def test_episode_data_cuts_padding_and_inverts_the_information(real):
     problem, ready, traces = real
     trace = jax.tree.map(lambda x: x[0], traces)
     truth = np.asarray(ready.episodes.truth.state[0])
@@ -93,7 +92,7 @@ def test_film_cuts_padding_and_inverts_the_information(real):
     np.testing.assert_allclose(made.times_s, np.arange(7.0))
 
 
-def test_film_of_a_longer_state_shows_positions(real):
+def test_episode_data_of_a_longer_state_shows_positions(real):
     problem, _, traces = real
     Z = np.array([[0.0, 2.0]] * 2) * [[1], [0.5]] + np.eye(2)
     turned = dataclasses.replace(problem, motion=dataclasses.replace(problem.motion, Z=jax.numpy.asarray(Z)))
@@ -142,35 +141,19 @@ def test_arc_is_the_exponential_of_a_constant_twist(turn):
 # The scene
 
 
-def test_ellipse_passes_where_chi_square_says_and_holds_95_percent():
-    which = made_up(2, 1, seed=3)
-    mean, covariance = which.estimate[0, 0], which.covariance[0, 0]
-    border = corners(stage(which, 0).unseen)[0]
-    values, vectors = np.linalg.eigh(covariance)
-    for value, vector in zip(values, vectors.T, strict=True):
-        tip = mean + np.sqrt(chi2.ppf(0.95, 2) * value) * vector
-        assert np.linalg.norm(border - tip, axis=1).min() < 1e-12
-    samples = np.random.default_rng(0).multivariate_normal(mean, covariance, 40_000)
-    from matplotlib.path import Path as Outline
-
-    inside = Outline(border).contains_points(samples).mean()
-    # A polygon of 48 corners in the ellipse has 0.3 % less area: 0.0004 of probability; sampling error 0.0011.
-    assert abs(inside - 0.95) < 0.005
-
-
 def test_view_is_the_outline_moved_by_the_pose():
     which = made_up(3, 2, seed=1)
     for instant in range(4):
         x, y, yaw = which.pose[instant]
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        drawn = stage(which, SUBSTEPS * instant).views[0].get_xy()
+        drawn = scene(which, SUBSTEPS * instant).views[0].get_xy()
         np.testing.assert_allclose(drawn, [turn @ point + [x, y] for point in TRIANGLE], atol=1e-12)
 
 
 def test_colour_follows_the_measurement_of_the_instant():
     which = made_up(2, 3, visible=np.array([[1, 0, 0], [0, 1, 1]], bool))
     for instant, seen in ((0, []), (1, [0]), (2, [1, 2])):
-        shown = stage(which, SUBSTEPS * instant)
+        shown = scene(which, SUBSTEPS * instant)
         unseen = [j for j in range(3) if j not in seen]
         np.testing.assert_array_equal(shown.seen_means.get_xydata(), which.estimate[instant][seen])
         np.testing.assert_array_equal(shown.unseen_means.get_xydata(), which.estimate[instant][unseen])
@@ -188,7 +171,7 @@ def test_absent_targets_are_not_drawn():
     which = dataclasses.replace(which, truth=far, estimate=far)
     assert np.abs(drawing.limits([which])).max() < 100
     for instant, there in ((0, [0, 2]), (3, [0])):
-        shown = stage(which, SUBSTEPS * instant)
+        shown = scene(which, SUBSTEPS * instant)
         np.testing.assert_array_equal(shown.targets.get_xydata(), which.truth[instant][there])
         assert len(corners(shown.seen)) + len(corners(shown.unseen)) == len(there)
         track = shown.trails.get_xydata()
@@ -200,7 +183,7 @@ def test_absent_targets_are_not_drawn():
 
 def test_between_instants_targets_move_in_line_and_the_trail_is_bounded():
     which = made_up(5, 2)
-    shown = stage(which, 3 * SUBSTEPS + SUBSTEPS // 2, trail=1)
+    shown = scene(which, 3 * SUBSTEPS + SUBSTEPS // 2, trail=1)
     np.testing.assert_allclose(shown.targets.get_xydata(), (which.truth[3] + which.truth[4]) / 2)
     track = shown.trails.get_xydata().reshape(2, -1, 2)
     np.testing.assert_allclose(track[0, :3], [which.truth[2, 0], which.truth[3, 0], shown.targets.get_xydata()[0]])
@@ -224,12 +207,12 @@ def test_limits_hold_everything_but_beliefs_without_bound():
 
 def test_trajectories_of_real_episodes(real, tmp_path):
     problem, ready, traces = real
-    films = []
+    episodes = []
     for i, scene in enumerate(ready.scenes[:2]):
         trace = jax.tree.map(lambda x, i=i: x[i], traces)
         truth = np.asarray(ready.episodes.truth.state[i])
-        films.append(episode_data(problem, trace, truth, scene.horizon, len(scene.targets), scene.id))
-    figures.trajectory_figure(films, tmp_path / "a.png")
+        episodes.append(episode_data(problem, trace, truth, scene.horizon, len(scene.targets), scene.id))
+    figures.trajectory_figure(episodes, tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width == 1350
     assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
@@ -314,9 +297,9 @@ def test_animate_refuses(tmp_path, name, options, message):
 
 
 def test_nothing_to_draw_and_wrong_endings_are_rejected(tmp_path):
-    with pytest.raises(ValueError, match="no film to draw"):
+    with pytest.raises(ValueError, match="no episode to draw"):
         figures.trajectory_figure([], tmp_path / "a.png")
-    with pytest.raises(ValueError, match="no film to draw"):
+    with pytest.raises(ValueError, match="no episode to draw"):
         figures.replay_figure({}, tmp_path / "a.png")
     with pytest.raises(ValueError, match="no run to draw"):
         figures.learning_curve([], tmp_path / "a.png")
@@ -388,12 +371,12 @@ def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
 
 def test_the_clock_and_the_timeline_follow_steps_of_any_length():
     """A quarter of a second, then three: half way through the second step it is 1.75 s."""
-    film = made_up(2, 1, times_s=np.array([0.0, 0.25, 3.25]), visible=np.array([[False], [True]]))
+    data = made_up(2, 1, times_s=np.array([0.0, 0.25, 3.25]), visible=np.array([[False], [True]]))
     figure = drawing.new_figure(9.0, 5.0, layout=None)
-    artists, show = animation._scene(figure, film, (900, 500))
+    artists, show = animation._scene(figure, data, (900, 500))
     show(SUBSTEPS + SUBSTEPS // 2)
     assert any("t = 1.8 s" in text.get_text() for text in artists if isinstance(text, Text))
     axes = drawing.new_figure(4.0, 3.0).subplots()
-    figures._timeline(axes, film, "policy")
+    figures._timeline(axes, data, "policy")
     spans = [path.get_extents() for collection in axes.collections for path in collection.get_paths()]
     assert (0.25, 3.25) in [(round(box.x0, 6), round(box.x1, 6)) for box in spans]

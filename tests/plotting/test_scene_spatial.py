@@ -9,26 +9,23 @@ import pytest
 from PIL import Image
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
-from scipy.stats import chi2
 
-from foveate.geometry.fov_planar import triangle
-from foveate.geometry.fov_spatial import cone, frustum, prism
+from foveate.geometry import numpy_poses as poses
+from foveate.geometry.fov_spatial import frustum
 from foveate.geometry.space import SPACES
 from foveate.models.agent import Agent
 from foveate.models.problem import Problem
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.plotting import animation, figures
-from foveate.plotting import ellipsoids as solids
 from foveate.plotting import scene as drawing
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
-from foveate.plotting.scene_spatial import DART, SpatialScene, scene_axes_of
+from foveate.plotting.scene_spatial import DART, SpatialScene, scene_class
 from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import TRUE, Episode, Truth
 from foveate.simulation.rollout import rollout
 
 FRUSTUM = tuple(frustum(0.3, 6.0, 1.4, 1.0).outline())
-CHI_SQUARE = chi2.ppf(0.95, 3)
 
 
 def hat(twist):
@@ -59,7 +56,7 @@ def made_up(steps=4, n=3, seed=0, **changes) -> EpisodeData:
     return EpisodeData(**{**values, **changes})
 
 
-def stage(which: EpisodeData, moment: int, **options) -> SpatialScene:
+def scene(which: EpisodeData, moment: int, **options) -> SpatialScene:
     axes = drawing.new_figure(3.0, 3.0).add_subplot(axes_class=SpatialScene.axes_class)
     shown = SpatialScene(axes, which, SpatialScene.limits([which]), **options)
     shown.show(moment)
@@ -98,61 +95,11 @@ def test_arc_turns_evenly_from_instant_to_instant():
     np.testing.assert_allclose(arc[:, :3, :3], expected.as_matrix(), atol=1e-12)
 
 
-# Bodies
-
-
-def test_ellipsoids_are_where_chi_square_says():
-    which = made_up(2, 3, seed=4)
-    eye = np.array([20.0, -30.0, 25.0])
-    mean, covariance = which.estimate[0], which.covariance[0]
-    rims, arcs = solids.contours(mean, covariance, eye), solids.meridians(mean, covariance, eye)
-    assert rims.shape[0] == 3
-    assert arcs.shape[0] == 9
-    for j in range(3):
-        for points in (rims[j], *arcs[j::3]):
-            away = points - mean[j]
-            square = np.sum(away * np.linalg.solve(covariance[j], away.T).T, axis=1)
-            np.testing.assert_allclose(square, CHI_SQUARE, rtol=1e-9)
-
-
-def test_a_contour_is_where_the_eye_sees_the_ellipsoid_edge_on_and_meridians_face_it():
-    which = made_up(2, 2, seed=5)
-    eye = np.array([12.0, -15.0, 9.0])
-    mean, covariance = which.estimate[1], which.covariance[1]
-    for j in range(2):
-        rim = solids.contours(mean, covariance, eye)[j]
-        normal = np.linalg.solve(covariance[j], (rim - mean[j]).T).T
-        np.testing.assert_allclose(np.sum(normal * (eye - rim), axis=1), 0.0, atol=1e-8)
-        for arc in solids.meridians(mean, covariance, eye)[j::2]:
-            normal = np.linalg.solve(covariance[j], (arc - mean[j]).T).T
-            assert np.sum(normal * (eye - mean[j]), axis=1).min() > -1e-8
-
-
-def test_an_eye_within_an_ellipsoid_sees_no_border():
-    rim = solids.contours(np.zeros((1, 3)), np.eye(3)[None], np.array([0.1, 0.0, 0.2]))
-    assert np.isfinite(rim).all()
-    assert np.ptp(rim, axis=1).max() < 1e-6
-
-
-@pytest.mark.parametrize(
-    ("outline", "count"),
-    [
-        (frustum(0.3, 6.0, 1.4, 1.0).outline(), 2 + 4),
-        (frustum(0.0, 6.0, 1.4, 1.0).outline(), 2 + 4),
-        (cone(0.0, 5.0, 1.2).outline(), 3),
-        (cone(1.0, 5.0, 1.2).outline(), 4),
-        (prism(triangle(2.0, 2.0)).outline(4.0), 2 + 3),
-        ([np.eye(3)[:2]], 0),
-        ([], 0),
-    ],
-)
-def test_faces_span_closed_lines_and_what_edges_join(outline, count):
-    made = solids.faces(outline)
-    assert len(made) == count
-    points = np.concatenate([np.zeros((0, 3)), *outline])
-    for face in made:
-        # Every corner of a face is one of the outline's.
-        assert np.abs(face[:, None] - points).sum(axis=-1).min(axis=1).max() < 1e-9
+def test_arc_of_single_precision_stays_a_rotation():
+    which = made_up(3, 0)
+    rounded = which.pose.astype(np.float32).astype(float)
+    turn = poses.arc(rounded, 7)[:, :3, :3]
+    np.testing.assert_allclose(turn @ turn.swapaxes(-1, -2), np.broadcast_to(np.eye(3), turn.shape), atol=1e-6)
 
 
 # The scene
@@ -161,19 +108,19 @@ def test_faces_span_closed_lines_and_what_edges_join(outline, count):
 def test_view_and_agent_are_moved_by_the_pose():
     which = made_up(3, 2, seed=1)
     for instant in range(4):
-        shown, pose, dart = stage(which, 0), which.pose[instant], []
+        shown, pose, dart = scene(which, 0), which.pose[instant], []
         shown.agent.set_verts = dart.extend
         shown.show(SUBSTEPS * instant)
         for drawn, border in zip(corners(shown.edges), FRUSTUM, strict=True):
-            wanted = [(pose @ np.append(point, 1.0))[:3] for point in border]
-            np.testing.assert_allclose(drawn, wanted, atol=1e-12)
+            expected = [(pose @ np.append(point, 1.0))[:3] for point in border]
+            np.testing.assert_allclose(drawn, expected, atol=1e-12)
         nose = (pose @ np.append(shown.size * DART[0], 1.0))[:3]
         assert np.abs(np.concatenate(dart) - nose).sum(axis=1).min() < 1e-12
 
 
 def test_everything_stands_on_the_floor():
     which = made_up(3, 2)
-    shown = stage(which, SUBSTEPS)
+    shown = scene(which, SUBSTEPS)
     floor = SpatialScene.limits([which])[0, 2]
     posts = np.append(which.truth[1], which.pose[1, None, :3, 3], axis=0)
     drops = line(shown.drops).reshape(-1, 3, 3)
@@ -187,7 +134,7 @@ def test_everything_stands_on_the_floor():
 def test_colour_follows_the_measurement_of_the_instant():
     which = made_up(2, 3, visible=np.array([[1, 0, 0], [0, 1, 1]], bool))
     for instant, seen in ((0, []), (1, [0]), (2, [1, 2])):
-        shown = stage(which, SUBSTEPS * instant)
+        shown = scene(which, SUBSTEPS * instant)
         unseen = [j for j in range(3) if j not in seen]
         np.testing.assert_array_equal(line(shown.seen_means), which.estimate[instant][seen])
         np.testing.assert_array_equal(line(shown.unseen_means), which.estimate[instant][unseen])
@@ -205,7 +152,7 @@ def test_absent_targets_are_not_drawn():
     which = dataclasses.replace(which, truth=far, estimate=far)
     assert np.abs(SpatialScene.limits([which])).max() < 100
     for instant, there in ((0, [0, 2]), (3, [0])):
-        shown = stage(which, SUBSTEPS * instant)
+        shown = scene(which, SUBSTEPS * instant)
         np.testing.assert_array_equal(line(shown.targets), which.truth[instant][there])
         assert len(corners(shown.seen_net)) + len(corners(shown.unseen_net)) == 3 * len(there)
         assert len(line(shown.shadows)) == len(there) + 1
@@ -245,15 +192,15 @@ def test_limits_of_one_point_alone_are_a_box():
     assert (high > alone.pose[0, :3, 3]).all()
 
 
-def test_the_space_of_a_film_says_what_draws_it():
-    assert scene_axes_of(made_up()) is SpatialScene
-    assert scene_axes_of(dataclasses.replace(made_up(), space=SPACES["planar"])) is drawing.PlanarScene
+def test_scene_class_follows_the_space():
+    assert scene_class(made_up()) is SpatialScene
+    assert scene_class(dataclasses.replace(made_up(), space=SPACES["planar"])) is drawing.PlanarScene
 
 
 # Files
 
 
-def test_film_of_constant_velocity_shows_positions_and_their_covariance(tmp_path):
+def test_constant_velocity_shows_positions_and_their_covariance(tmp_path):
     eye, none = jnp.eye(3), jnp.zeros((3, 3))
     Z = jnp.hstack([eye, none])
     A = jnp.block([[eye, 0.5 * eye], [none, eye]])
@@ -293,8 +240,8 @@ def test_gif_has_its_frames_and_colours(tmp_path):
             picture.seek(i)
             colors |= {color for _, color in picture.convert("RGB").getcolors(1 << 24)}
     for name in (drawing.SEEN, drawing.UNSEEN, drawing.AGENT):
-        wanted = np.array([int(name[i : i + 2], 16) for i in (1, 3, 5)])
-        assert min(np.abs(np.array(color) - wanted).max() for color in colors) < 8
+        expected = np.array([int(name[i : i + 2], 16) for i in (1, 3, 5)])
+        assert min(np.abs(np.array(color) - expected).max() for color in colors) < 8
 
 
 def test_figures_of_space_beside_one_of_the_plane(tmp_path):

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from foveate.policies.heuristics import heuristic
 from foveate.recordings.formats import load_recording
-from foveate.recordings.replay import default_agent_start, prepare_replay, random_agent_starts, replay, warnings_for
+from foveate.recordings.plausibility import warnings_for
+from foveate.recordings.replay import default_agent_start, prepare_replay, random_agent_starts, replay
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings

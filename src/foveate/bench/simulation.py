@@ -13,10 +13,10 @@ from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.inputs import masked_features
 from foveate.simulation.batch import Batch, Programs
 from foveate.simulation.environment import Environment
-from foveate.simulation.episodes import scene_episodes, training_episode
+from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import PROTOCOLS, SURROGATE, Episode, Observation
 from foveate.simulation.rollout import rollout
-from foveate.simulation.suites import own_suite
+from foveate.simulation.suites import own_suite, scene_episodes
 
 ENVIRONMENTS = 1024
 """Episodes of a batch of rollouts, and environments stepped in one batch."""

@@ -61,8 +61,9 @@ class Replay:
         from foveate.io.progress import Bar
         from foveate.recordings.formats import load_recording
         from foveate.recordings.motion import default_max_gap_s
+        from foveate.recordings.plausibility import warnings_for
         from foveate.recordings.recording import window
-        from foveate.recordings.replay import VERSION, prepare_replay, replay, result, warnings_for
+        from foveate.recordings.replay import VERSION, prepare_replay, replay, result
 
         methods = check_methods(self.method)
         check_output(self.out, folder=True)

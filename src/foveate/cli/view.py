@@ -11,7 +11,7 @@ from foveate.errors import InputError
 
 if TYPE_CHECKING:
     from foveate.experiment.experiment import Experiment
-    from foveate.plotting.live.server import Programme
+    from foveate.plotting.live.player import EpisodeSource
 
 
 @dataclass(kw_only=True)
@@ -67,13 +67,13 @@ class View:
         from foveate.plotting.live.server import record, serve
 
         experiment = experiment_of(self.run)
-        programme = self._recorded(experiment) if self.recording is not None else self._simulated(experiment)
+        source = self._recorded(experiment) if self.recording is not None else self._simulated(experiment)
         if self.record is None:
-            serve(programme, self.port, lambda line: print(line, flush=True))
+            serve(source, self.port, lambda line: print(line, flush=True))
             return 0
-        film = programme.film(programme.scenes[0], programme.methods[0])
-        record(film, self.record)
-        print(f"{self.record}: {film.title}")
+        episode = source.episode(source.scenes[0], source.methods[0])
+        record(episode, self.record)
+        print(f"{self.record}: {episode.title}")
         return 0
 
     def _methods(self) -> tuple[str, ...]:
@@ -85,12 +85,12 @@ class View:
         check_methods((self.method,) if self.method != "all" else ("one of them",))
         return tuple(dict.fromkeys((self.method, *METHODS)))
 
-    def _simulated(self, experiment: "Experiment") -> "Programme":
+    def _simulated(self, experiment: "Experiment") -> "EpisodeSource":
         from foveate.evaluation.evaluate import prepare
         from foveate.experiment.resolve import policy_of, scenes_of
         from foveate.io.records import suggestion
         from foveate.plotting.episode_data import EpisodeData, suite_data
-        from foveate.plotting.live.server import Programme
+        from foveate.plotting.live.player import EpisodeSource
 
         name, known = scenes_of(self.scenes, self.scene_seed, experiment)
         by_id = {scene.id: scene for scene in known}
@@ -103,9 +103,9 @@ class View:
             suite = prepare(problem, settings, [by_id[scene]], self.seed)
             return suite_data(suite, policy_of(self.run, method, experiment), self.protocol, method)[0]
 
-        return Programme(scenes=tuple(dict.fromkeys((*first, *by_id))), methods=self._methods(), film=make)
+        return EpisodeSource(scenes=tuple(dict.fromkeys((*first, *by_id))), methods=self._methods(), episode=make)
 
-    def _recorded(self, experiment: "Experiment") -> "Programme":
+    def _recorded(self, experiment: "Experiment") -> "EpisodeSource":
         import sys
 
         import jax.numpy as jnp
@@ -113,11 +113,12 @@ class View:
 
         from foveate.experiment.resolve import policy_of
         from foveate.plotting.episode_data import EpisodeData, episode_data
-        from foveate.plotting.live.server import Programme
+        from foveate.plotting.live.player import EpisodeSource
         from foveate.recordings.formats import load_recording
         from foveate.recordings.motion import default_max_gap_s
+        from foveate.recordings.plausibility import warnings_for
         from foveate.recordings.recording import window
-        from foveate.recordings.replay import default_agent_start, prepare_replay, replay, warnings_for
+        from foveate.recordings.replay import default_agent_start, prepare_replay, replay
 
         assert self.recording is not None, "called with a recording only"
         if self.scene is not None:
@@ -135,4 +136,4 @@ class View:
             steps, columns = trace.visible.shape
             return episode_data(ready.problem, trace, ready.truth, steps, columns, f"{method} on {scene}")
 
-        return Programme(scenes=(self.recording.name,), methods=self._methods(), film=make)
+        return EpisodeSource(scenes=(self.recording.name,), methods=self._methods(), episode=make)

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from foveate import __version__
 from foveate.errors import InputError
-from foveate.evaluation.evaluate import Row, Suite, policy_keys, rows_of
+from foveate.evaluation.evaluate import Row, Suite, episode_rows, policy_keys
 from foveate.evaluation.summary import Summary
 from foveate.geometry.linalg import log_det_spd
 from foveate.io.files import cache_folder
@@ -127,7 +127,7 @@ def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
     """
     trace = _drive(suite.problem, jnp.asarray(plans.action), suite.episodes, PROTOCOLS[protocol], policy_keys(suite))
     horizons = np.asarray(suite.episodes.horizon)
-    rows = rows_of(suite, "omniscient", protocol, jax.tree.map(np.asarray, trace), list(plans.seconds / horizons))
+    rows = episode_rows(suite, "omniscient", protocol, jax.tree.map(np.asarray, trace), list(plans.seconds / horizons))
     n_y = suite.problem.motion.state_size
     return [
         row if row.score is None else replace(row, score=float(value), entropy=float(entropy(jnp.asarray(value), n_y)))

@@ -1,4 +1,4 @@
-"""How well a policy did, honestly: every method on the same scenes, the same noise, under both protocols."""
+"""Evaluate methods on the same scenes with the same noise, under each protocol: one row an episode."""
 
 import os
 import time
@@ -59,7 +59,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Scenes and the chance in them, ready to run: what every method gets alike."""
+    """Scenes with their noise, ready to run: the same for every method."""
 
     problem: Problem
     scenes: tuple[Scene, ...]
@@ -72,7 +72,7 @@ class Suite:
 def prepare(
     problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int = 0, episodes: int = 1
 ) -> Suite:
-    """Draw the chance of `episodes` runs of every scene from (seed, scene id, episode)."""
+    """Draw the noise of `episodes` runs of every scene from (seed, scene id, episode)."""
     drawn = scene_episodes(problem, settings, scenes, seed, episodes)
     assert drawn.truth is not None, "scene_episodes always draws the truth"
     return Suite(
@@ -87,32 +87,33 @@ def _run(problem: Problem, policy: Policy, episodes: Episode, protocol: Protocol
 
 @jax.jit
 def _keys(key, names, runs):
-    """The policy's own chance: like all other, from (seed, scene id, episode) alone."""
+    """Keys of the policy's own randomness: as all other, from (seed, scene id, episode) alone."""
     return jax.vmap(lambda name, run: jax.random.fold_in(jax.random.fold_in(key, name), run))(names, runs)
 
 
 def policy_keys(suite: Suite) -> jax.Array:
-    """The key of a policy's own chance in every episode."""
+    """Key of a policy's own randomness in every episode of a suite."""
     names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
     runs = np.arange(len(names)) % suite.episodes_per_scene
     return _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
 
 
-def simulate(
+def evaluate_traces(
     suite: Suite,
     policy: Policy,
     protocol: Protocol,
     chunk: int = CHUNK,
     report: Callable[[int], None] = lambda done: None,
 ) -> Trace:
-    """Every episode of the suite; a leading axis of episodes, as numpy arrays.
+    """Run a policy through every episode of a suite: one trace with a leading axis of episodes, as numpy arrays.
 
-    `chunk` episodes run in one program, and as many of these as there are cores side by side; `report` is called
-    with the number of episodes that are done.
+    `chunk` episodes run in one program, and one such program on each core; `report` is called with the number of
+    episodes done.
     """
     count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
 
     def run(first: int) -> Trace:
+        # The last chunk is filled up with the last episode: every chunk then runs the same compiled program.
         rows = np.minimum(np.arange(first, first + chunk), count - 1)
         trace = _run(suite.problem, policy, jax.tree.map(lambda x: x[rows], suite.episodes), protocol, keys[rows])
         return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
@@ -130,7 +131,7 @@ def decision_time(
 ) -> float:
     """Median time of one compiled decision for one agent [s], called alone and waited for.
 
-    `with_start` adds each decision's share of the policy's start, for those that think there.
+    `with_start` adds each decision's share of the policy's start, for planners that plan there.
     """
     steps = jax.tree.map(lambda x: x[0], episode.inputs)
     predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), steps)
@@ -146,13 +147,13 @@ def decision_time(
 
 
 def _median_time(call: Callable[[], Any], repeats: int) -> float:
-    """Median wall time of a call that is waited for [s], after one that does not count."""
+    """Median wall time of a call that is waited for [s]; a first call, which compiles, is not counted."""
     jax.block_until_ready(call())
     times = []
     for _ in range(repeats):
-        began = time.perf_counter()
+        start_s = time.perf_counter()
         jax.block_until_ready(call())
-        times.append(time.perf_counter() - began)
+        times.append(time.perf_counter() - start_s)
     return float(np.median(times))
 
 
@@ -160,23 +161,22 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
     """Run a policy on a suite under each protocol: one row an episode."""
     protocols = tuple(protocols)
     with ThreadPoolExecutor() as pool:  # compilation, most of the wait, runs side by side
-        traces = list(pool.map(lambda name: simulate(suite, policy, PROTOCOLS[name]), protocols))
+        traces = list(pool.map(lambda name: evaluate_traces(suite, policy, PROTOCOLS[name]), protocols))
     step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
     times = [step_time] * len(suite.truth.state)
     return [
         row
         for protocol, trace in zip(protocols, traces, strict=True)
-        for row in rows_of(suite, method, protocol, trace, times)
+        for row in episode_rows(suite, method, protocol, trace, times)
     ]
 
 
-def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
-    """One row an episode of what happened to a method, whose decisions took `step_times` [s] in each episode."""
+def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
+    """Rows of the traces of a method, one an episode; its decisions took `step_times` [s] in each episode."""
     truth = np.asarray(suite.truth.state)
     rows = []
     for i, step_time in enumerate(step_times):
         scene = suite.scenes[i // suite.episodes_per_scene]
-        found = measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
         rows.append(
             Row(
                 scene=scene.id,
@@ -187,7 +187,7 @@ def rows_of(suite: Suite, method: str, protocol: str, trace: Trace, step_times: 
                 motion=scene.motion,
                 targets=len(scene.targets),
                 step_time_s=step_time,
-                **found,
+                **measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene),
             )
         )
     return rows

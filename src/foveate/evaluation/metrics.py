@@ -1,7 +1,7 @@
-"""What one episode, or many, say of a method and of its filter: shares seen, errors, and whether the filter is honest.
+"""Metrics of one episode or of many: score, shares seen, errors, and the consistency of the filter.
 
-An error is honest where the filter claims it: NEES, e^T Y e, is then chi-square with as many degrees of freedom as the
-state has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
+A filter is consistent where its errors are as large as it claims: NEES, e^T Y e, is then chi-square with as many
+degrees of freedom as the state has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
 """
 
 import math
@@ -9,7 +9,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from foveate.models.belief import entropy
 from foveate.models.problem import Problem
@@ -19,47 +19,62 @@ from foveate.simulation.records import Trace
 Z95 = 1.959963984540054
 
 
-SPLITS = ("rmse_seen_m", "rmse_unseen_m", "nees_seen", "nees_unseen")
-"""Errors of the targets that were measured at least once, and of the others."""
-
-
 def measures(
     problem: Problem, trace: Trace, truth: Float[np.ndarray, "instants n n_y"], scene: Scene
 ) -> dict[str, Any]:
     """The measures of an `evaluation.Row` of one episode, padded or not."""
     n, K, n_y = len(scene.targets), scene.horizon, problem.motion.state_size
-    if n == 0:
-        nothing = dict.fromkeys(("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0)
-        return {"score": None, "entropy": None, **nothing, **dict.fromkeys(SPLITS)}
     visible, log_det = np.asarray(trace.visible[:K, :n]), np.asarray(trace.log_det[K - 1, :n], float)
-    seen = np.any(visible, axis=0)
+    seen = np.asarray(visible.any(axis=0))
     error = np.asarray(trace.mean[K, :n], float) - np.asarray(truth[K, :n], float)
-    square = ((error @ np.asarray(problem.motion.Z, float).T) ** 2).sum(axis=1)
-    nees = np.einsum("ni,nij,nj->n", error, trace.information[K, :n].astype(float), error)
+    # Float32 would lose digits of e^T Y e: a well-seen target has an information of 1e3 and more.
+    information = np.asarray(trace.information[K, :n], float)
     return {
-        "score": float(log_det.mean()),
-        "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))),
-        "seen_fraction": float(seen.mean()),
-        "seen_step_fraction": float(visible.mean()),
-        "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max()),
-        "rmse_m": float(np.sqrt(square.mean())),
-        "nees": float(nees.mean()),
-        **splits(square, nees, np.asarray(seen)),
+        "score": float(mean_log_det(log_det, np.ones(n, bool))) if n else None,
+        "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))) if n else None,
+        "seen_fraction": mean_or_zero(seen),
+        "seen_step_fraction": mean_or_zero(visible),
+        "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max(initial=0.0)),
+        **error_measures(
+            squared_position_error(error, np.asarray(problem.motion.Z, float)), nees(error, information), seen
+        ),
     }
 
 
-def splits(
-    square_error: Float[np.ndarray, " values"], nees: Float[np.ndarray, " values"], seen: Bool[np.ndarray, " values"]
-) -> dict[str, float | None]:
-    """RMSE [m] and mean NEES of the values of targets that were seen, and of the others; None where there are none."""
+def mean_or_zero(values: Float[np.ndarray, "*m"] | Bool[np.ndarray, "*m"]) -> float:
+    """Mean, or share of true values; 0 without any."""
+    return float(values.sum() / max(1, values.size))
 
-    def of(group: Bool[np.ndarray, " values"]) -> tuple[float | None, float | None]:
-        if not group.any():
-            return None, None
-        return float(np.sqrt(square_error[group].mean())), float(nees[group].mean())
 
-    (rmse_seen, nees_seen), (rmse_unseen, nees_unseen) = of(seen), of(~seen)
-    return dict(zip(SPLITS, (rmse_seen, rmse_unseen, nees_seen, nees_unseen), strict=True))
+def mean_log_det(log_det: Float[np.ndarray, "*m n"], present: Bool[np.ndarray, "*m n"]) -> Float[np.ndarray, "*m"]:
+    """Mean log det of the information of the targets present [nat], the score so far; NaN where none is."""
+    count = present.sum(axis=-1)
+    total = np.where(present, log_det, 0.0).sum(axis=-1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def squared_position_error(
+    error: Float[np.ndarray, "*m n_y"], Z: Float[np.ndarray, "d n_y"]
+) -> Float[np.ndarray, "*m"]:
+    """|Z e|^2 of errors e of states [m^2]."""
+    return ((error @ Z.T) ** 2).sum(axis=-1)
+
+
+def nees(error: Float[np.ndarray, "*m n_y"], information: Float[np.ndarray, "*m n_y n_y"]) -> Float[np.ndarray, "*m"]:
+    """Normalised estimation error squared e^T Y e."""
+    return np.einsum("...i,...ij,...j->...", error, information, error)
+
+
+def error_measures(
+    squared_error: Float[np.ndarray, " values"], nees: Float[np.ndarray, " values"], seen: Bool[np.ndarray, " values"]
+) -> dict[str, Any]:
+    """RMSE [m] and mean NEES of all values (0 without any), and apart of targets seen and never seen (then None)."""
+    measures: dict[str, Any] = {"rmse_m": math.sqrt(mean_or_zero(squared_error)), "nees": mean_or_zero(nees)}
+    for name, group in (("seen", seen), ("unseen", ~seen)):
+        exists = bool(group.any())
+        measures[f"rmse_{name}_m"] = math.sqrt(mean_or_zero(squared_error[group])) if exists else None
+        measures[f"nees_{name}"] = mean_or_zero(nees[group]) if exists else None
+    return measures
 
 
 def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]) -> Float[np.ndarray, " n"]:
@@ -71,8 +86,13 @@ def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]
     return longest
 
 
+def effective_count(weights: Float[np.ndarray, " n"] | Int[np.ndarray, " n"]) -> float:
+    """Effective sample size of a mean with these weights, (sum w)^2 / sum w^2 (Kish 1965); 1 without any."""
+    return max(1.0, float(weights.sum())) ** 2 / max(1.0, float(np.square(weights).sum()))
+
+
 def chi_square_band(dof: int, count: float | int) -> tuple[float, float]:
-    """The interval that holds 95 % of means of `count` chi-square variables (Wilson and Hilferty 1931)."""
+    """Interval that holds 95 % of means of `count` chi-square variables (Wilson and Hilferty 1931)."""
     total = dof * count
     spread = 2.0 / (9.0 * total)
     low, high = (dof * max(0.0, 1.0 - spread + sign * Z95 * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))

@@ -8,7 +8,7 @@ from threading import Lock
 import jax
 import jax.numpy as jnp
 
-from foveate.evaluation.evaluate import Row, decision_time, prepare, rows_of, simulate
+from foveate.evaluation.evaluate import Row, decision_time, episode_rows, evaluate_traces, prepare
 from foveate.models.problem import Problem
 from foveate.planning.receding import OpenLoop, Receding
 from foveate.planning.shooting import PlanSettings
@@ -62,7 +62,7 @@ def planner_rows(
                 done[size] = more
                 report(sum(done.values()))
 
-        return simulate(suites[size], policy_of(size[1]), PROTOCOLS[protocol], min(TOGETHER, count), tell)
+        return evaluate_traces(suites[size], policy_of(size[1]), PROTOCOLS[protocol], min(TOGETHER, count), tell)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # compilation, most of the wait, runs side by side
         traces = dict(zip(sizes, pool.map(run, sizes), strict=True))
@@ -71,6 +71,6 @@ def planner_rows(
     time = decision_time(problem, policy, first, with_start=isinstance(policy, OpenLoop))
     found: dict[str, list[Row]] = {}
     for size, suite in suites.items():
-        for row in rows_of(suite, method, protocol, traces[size], [time] * (len(sizes[size]) * episodes)):
+        for row in episode_rows(suite, method, protocol, traces[size], [time] * (len(sizes[size]) * episodes)):
             found.setdefault(row.scene, []).append(row)
     return [row for scene in scenes for row in found[scene.id]]

@@ -1,4 +1,4 @@
-"""How well policies did: rows and summary of an evaluation, to look at, to compute with, to write."""
+"""Evaluate policies and report: rows and summary as a table, as records, as JSON."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from foveate.simulation.records import Policy
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Evaluation:
-    """What methods did on the same scenes, with the same noise.
+    """Results of methods on the same scenes with the same noise.
 
-    `rows`: one an episode (`evaluation.Row` says what its fields mean). `summary`: one a cell, that is a method, a
-    protocol, a motion and a number of targets (`summary.Summary`). `scenes` are those that were run.
+    `rows`: one an episode (see `Row`). `summary`: one a cell, that is a method, a protocol, a motion and a number of
+    targets (see `Summary`). `scenes`: those that were run.
     """
 
     title: str
@@ -61,10 +61,14 @@ def evaluate_all(
 ) -> Evaluation:
     """Run every policy, by its method's name, on the same scenes with the same noise, under each protocol.
 
-    With `normalised` also the omniscient planner, whose plans take minutes, once. Raises ValueError where it has none.
+    With `normalised`, plan for the omniscient planner too: that takes minutes, once.
+
+    Raises:
+        InputError: `normalised` for a problem that has no omniscient planner.
     """
     problem = experiment.scenario.problem()
-    floor = lower_bounds(problem, scenes) if normalised else {}
+    # First, as it rejects a problem that has no bounds before anything long begins.
+    lower = lower_bounds(problem, scenes) if normalised else {}
     suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes)
     rows: list[Row] = []
     with Bar("evaluating", len(policies), "methods", quiet) as bar:
@@ -73,8 +77,8 @@ def evaluate_all(
             rows += evaluate(suite, name, policy, protocols)
     summary = summarise(rows, problem.motion.state_size)
     if normalised:
-        ceiling = summarise(_ceiling(suite, protocols, quiet), problem.motion.state_size)
-        summary = with_normalised_scores(summary, ceiling, floor)
+        oracle = summarise(_oracle(suite, protocols, quiet), problem.motion.state_size)
+        summary = with_normalised_scores(summary, oracle, lower)
     facts = {
         **facts,
         "experiment": digest(experiment),
@@ -91,24 +95,24 @@ def evaluate_all(
     )
 
 
-def _ceiling(suite: Suite, protocols: Sequence[str], quiet: bool) -> list[Row]:
-    """The rows of the plans that know the future."""
+def _oracle(suite: Suite, protocols: Sequence[str], quiet: bool) -> list[Row]:
+    """Rows of the omniscient planner."""
     rows: list[Row] = []
 
-    def counting(bar: Bar, before: int) -> Callable[[int], None]:
+    def progress(bar: Bar, before: int) -> Callable[[int], None]:
         return lambda done: bar.update(before + done)
 
     total = len(suite.scenes) * suite.episodes_per_scene * len(protocols)
     with Bar("omniscient plans", total, "episodes", quiet) as bar:
         for protocol in protocols:
-            rows += oracle_rows(suite, protocol, counting(bar, len(rows)))
+            rows += oracle_rows(suite, protocol, progress(bar, len(rows)))
     return rows
 
 
 def summary_table(title: str, summary: Sequence[Summary]) -> Table:
-    """One line a cell."""
+    """Summary as a table, one line a cell."""
     header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "of the time")
-    close = ("normalised",) * any(cell.normalised_score is not None for cell in summary)
+    normalised = ("normalised",) * any(cell.normalised_score is not None for cell in summary)
     rows = [
         (
             cell.method,
@@ -124,9 +128,9 @@ def summary_table(title: str, summary: Sequence[Summary]) -> Table:
             f"{cell.rmse_m:.2f}",
             f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
             ", ".join("-" if nees is None else f"{nees:.1f}" for nees in (cell.nees_seen, cell.nees_unseen)),
-            *("-" if cell.normalised_score is None else f"{cell.normalised_score:.3f}" for _ in close),
+            *("-" if cell.normalised_score is None else f"{cell.normalised_score:.3f}" for _ in normalised),
         )
         for cell in summary
     ]
-    columns = (*header, "longest not [s]", "rmse [m]", "nees (band)", "seen, never seen", *close)
+    columns = (*header, "longest not [s]", "rmse [m]", "nees (band)", "seen, never seen", *normalised)
     return Table(title=title, header=columns, rows=tuple(rows))

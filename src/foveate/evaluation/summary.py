@@ -1,4 +1,4 @@
-"""Rows of episodes in cells: one summary for each method, protocol, motion and number of targets."""
+"""Summarise rows of episodes: one summary for each method, protocol, motion and number of targets."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,11 +12,11 @@ from foveate.evaluation.evaluate import Row
 from foveate.evaluation.metrics import chi_square_band
 from foveate.evaluation.statistics import mean_interval
 from foveate.io.files import file_error, read_document, write_document
+from foveate.io.grouping import group_by
 from foveate.io.provenance import provenance
 
 VERSION = 1
-"""Of the files of evaluations."""
-
+"""Version of the files of evaluations."""
 
 Band = tuple[float, float]
 
@@ -26,10 +26,10 @@ class Summary:
     """One cell: a method, a protocol, a motion, a number of targets.
 
     `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
-    is where 95 % of such means lie if the filter's covariance is right. Of targets that were seen, and of those that
-    never were, `rmse_.._m` is the mean over the episodes that have some, `nees_..` the mean over all of them; null
-    where there are none. `normalised_score`: how far the mean gets from the floor, never seeing anything (0), to the
-    omniscient planner's (1); null where that was not asked for.
+    holds 95 % of such means if the filter's covariance is right. For targets seen and targets never seen, `rmse_.._m`
+    is the mean over the episodes that have some, `nees_..` the mean over all these targets; null where there are
+    none. `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
+    planner's score (1); null where that was not asked for.
     """
 
     method: str
@@ -56,11 +56,9 @@ class Summary:
 
 
 def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
-    """One summary a cell, in the order in which cells first appear; scenes without targets are left out."""
-    cells: dict[tuple, list[Row]] = {}
-    for row in rows:
-        if row.score is not None:
-            cells.setdefault((row.method, row.protocol, row.motion, row.targets), []).append(row)
+    """Summarise each cell, in the order in which cells first appear; scenes without targets are left out."""
+    scored = [row for row in rows if row.score is not None]
+    cells = group_by(scored, lambda row: (row.method, row.protocol, row.motion, row.targets))
     return [_summary(group, state_size) for group in cells.values()]
 
 
@@ -70,12 +68,10 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
 
     scores = np.array([row.score for row in rows], float)
     first = rows[0]
-    by_scene: dict[str, list[float]] = {}
-    for row, score in zip(rows, scores, strict=True):
-        by_scene.setdefault(row.scene, []).append(score)
-    # Episodes of one scene share its layout, so the scene is the unit that is independent.
-    means = np.array([np.mean(values) for values in by_scene.values()])
-    # Rows of several training seeds met the same chance: they say no more of it than those of one.
+    # Episodes of one scene share its layout: only scenes are independent samples.
+    scenes = group_by(zip(rows, scores.tolist(), strict=True), lambda pair: pair[0].scene)
+    means = np.array([np.mean([score for _, score in pairs]) for pairs in scenes.values()])
+    # Rows of several training seeds share their noise: for the width of NEES bands they count as one.
     share = len({(row.scene, row.episode) for row in rows}) / len(rows)
     nees_seen, nees_seen_band = _group_nees(rows, "seen", share, state_size)
     nees_unseen, nees_unseen_band = _group_nees(rows, "unseen", share, state_size)
@@ -104,13 +100,13 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
 
 
 def _group_mean(rows: Sequence[Row], name: str) -> float | None:
-    """The mean over the rows that have this measure; None where none has."""
+    """Mean over the rows that have this measure; None where none has."""
     values = [value for row in rows if (value := getattr(row, name)) is not None]
     return float(np.mean(values)) if values else None
 
 
 def _group_nees(rows: Sequence[Row], group: str, share: float, state_size: int) -> tuple[float | None, Band | None]:
-    """The mean NEES of all targets of a group, and its band for so many of them, of which a `share` is independent."""
+    """Mean NEES of all targets of a group ("seen" or "unseen"), and its band; only a `share` of them is independent."""
     pairs = [(row, value) for row in rows if (value := getattr(row, f"nees_{group}")) is not None]
     if not pairs:
         return None, None
@@ -123,19 +119,20 @@ def _group_nees(rows: Sequence[Row], group: str, share: float, state_size: int) 
 def write_result(
     path: str | Path, rows: Sequence[Row], summary: Sequence[Summary], facts: Mapping[str, Any] = MappingProxyType({})
 ) -> None:
-    """Write an evaluation for programs: rows, summary, and what they were made with."""
-    found = {"rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
-    write_document(path, "evaluation", VERSION, {**provenance(), **facts, **found})
+    """Write an evaluation as JSON: rows, summary, and the facts they were made with."""
+    content = {"rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
+    write_document(path, "evaluation", VERSION, {**provenance(), **facts, **content})
 
 
 def read_result(path: str | Path) -> tuple[list[Row], dict[str, Any]]:
-    """The rows of an evaluation that was written, and what they were made with.
+    """Read the rows of an evaluation and the facts they were made with.
 
-    Raises ValueError in one line for a file that is missing, cut, damaged, newer, or something else.
+    Raises:
+        InputError: a file that is missing, cut, damaged, newer, or something else.
     """
-    found = read_document(path, "evaluation", VERSION, "result of foveate evaluate")
+    content = read_document(path, "evaluation", VERSION, "result of foveate evaluate")
     try:
-        rows = [Row(**row) for row in found.pop("rows")]
+        rows = [Row(**row) for row in content.pop("rows")]
     except (KeyError, TypeError) as error:
         raise file_error(path, f"rows: are not those of an evaluation ({error})") from error
-    return rows, {name: value for name, value in found.items() if name != "summary"}
+    return rows, {name: value for name, value in content.items() if name != "summary"}

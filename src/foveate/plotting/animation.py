@@ -1,4 +1,4 @@
-"""An episode as a moving picture: the scene beside what is known of each target, as both unfold."""
+"""Animate an episode: the scene beside the information about each target, as both unfold."""
 
 import io
 import shutil
@@ -18,33 +18,27 @@ from PIL import Image
 
 from foveate.errors import InputError
 from foveate.io.files import write_atomic
-from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
+from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData, axis_range
 from foveate.plotting.scene import BLACK, GREY, PALE, SEEN, broken, clean, describe, legend_entries, new_figure
-from foveate.plotting.scene_spatial import scene_axes_of
+from foveate.plotting.scene_spatial import scene_class
 
 DPI = 100
-
-
 COLORS = 128
-
-
 HOLD_S = 1.5
-"""How long the last frame stands before the animation begins again."""
-
-
-TRAIL_STEPS = 40
-
+"""Time for which the last frame stands before the animation begins again."""
 
 Show = Callable[[int], None]
 
 
-def animate(film: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
+def animate(data: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
     """Write an episode as `.gif` (looping for ever), `.mp4` (through ffmpeg), or its last moment as `.png`.
 
     Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses or ellipsoids; right, log det
     of each target's information after every step, a dot where it was measured, and the mean. Up to three frames a
-    step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers. Raises
-    ValueError for another ending, a bad size, and for `.mp4` where ffmpeg is missing or fails.
+    step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers.
+
+    Raises:
+        InputError: another ending, a bad size or `fps`, and for `.mp4` where ffmpeg is missing or fails.
     """
     kind = path.suffix.lower()
     if kind not in (".gif", ".mp4", ".png"):
@@ -55,23 +49,24 @@ def animate(film: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] 
         raise InputError(f"fps = {fps}: expected from 1 to 50 frames a second")
     if kind == ".mp4" and shutil.which("ffmpeg") is None:
         raise InputError(f"{path}: ffmpeg is missing: install it, or write a .gif")
-    moments = frame_moments(film.steps, scene_axes_of(film).max_frames)
+    moments = frame_moments(data.steps, scene_class(data).max_frames)
     if kind == ".png":
         buffer = io.BytesIO()
-        Image.fromarray(picture(film, moments[-1], size)).save(buffer, "PNG")
+        Image.fromarray(picture(data, moments[-1], size)).save(buffer, "PNG")
         write_atomic(path, buffer.getvalue())
     else:
         encode = _gif if kind == ".gif" else _mp4
-        write_atomic(path, encode(list(_frames(film, moments, size)), fps))
+        write_atomic(path, encode(list(_frames(data, moments, size)), fps))
 
 
-def picture(film: EpisodeData, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
-    """One frame of the animation, at a moment of the film (see `film.snapshot`): uint8, (height, width, 3)."""
-    return next(_frames(film, [moment], size))
+def picture(data: EpisodeData, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
+    """Draw one frame of the animation, at a moment of the episode: uint8, (height, width, 3)."""
+    return next(_frames(data, [moment], size))
 
 
 def frame_moments(steps: int, most: int) -> list[int]:
-    """The moments (in SUBSTEPS a step) of the frames: the first and the last instant always, evenly spaced between."""
+    """Moments of at most `most` frames: the first and the last instant always, evenly spaced between."""
+    # As many frames a step as fit, so that motion is smooth; where not even one fits, every `skip`-th instant.
     per_step = max((count for count in (1, 2, 3) if steps * count < most), default=1)
     skip = -(-steps // (most - 1)) if steps else 1
     stride = SUBSTEPS * skip if skip > 1 else SUBSTEPS // per_step
@@ -79,12 +74,12 @@ def frame_moments(steps: int, most: int) -> list[int]:
     return [*range(0, end, stride), end]
 
 
-def _frames(film: EpisodeData, moments: list[int], size: tuple[int, int]) -> Iterator[np.ndarray]:
-    """RGB pictures: what stands still is drawn once, what moves is drawn on top of a copy of it."""
+def _frames(data: EpisodeData, moments: list[int], size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """Yield RGB pictures: what stands still is drawn once, what moves is drawn on top of a copy of it."""
     width, height = size
     figure = new_figure(width / DPI, height / DPI, dpi=DPI, layout=None)
     canvas = FigureCanvasAgg(figure)
-    moving, show = _scene(figure, film, size)
+    moving, show = _scene(figure, data, size)
     for artist in moving:
         artist.set_animated(True)
     canvas.draw()
@@ -97,56 +92,47 @@ def _frames(film: EpisodeData, moments: list[int], size: tuple[int, int]) -> Ite
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _scene(figure: Figure, film: EpisodeData, size: tuple[int, int]) -> tuple[list[Artist], Show]:
-    """Everything on the figure: the artists that move, and what moves them."""
+def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[list[Artist], Show]:
+    """Draw everything on the figure; return the artists that move, and the function that moves them."""
     width, height = size
-    kind, unit, bottom, top = scene_axes_of(film), np.array([width, height, width, height]), 82.0, 60.0
+    kind, unit, bottom, top = scene_class(data), np.array([width, height, width, height]), 82.0, 60.0
     place = kind.place(width, height, bottom, top)
     ground: Any = figure.add_axes(tuple(place / unit), axes_class=kind.axes_class)
     start, high = place[0] + place[2] + 62, min(place[3], height - bottom - top)
     curves = figure.add_axes(tuple((start, bottom, width - start - 14, high) / unit))
-    stage = kind(ground, film, kind.limits([film]), trail=TRAIL_STEPS, scale=1.15)
-    stage.label(9.0)
-    figure.text(14 / width, 1 - 12 / height, describe(film), fontsize=11, fontweight="bold", va="top")
+    scene = kind(ground, data, kind.limits([data]), trail=TRAIL_STEPS, scale=1.15)
+    scene.label(9.0)
+    figure.text(14 / width, 1 - 12 / height, describe(data), fontsize=11, fontweight="bold", va="top")
     clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10)
-    lines, show_curves = _curves(curves, film)
+    lines, show_curves = _curves(curves, data)
     style = {"frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}
     below = {"loc": "lower center", "bbox_to_anchor": (0.5, 8 / height), "ncols": 5}
     figure.legend(handles=legend_entries(), fontsize=min(9.0, width / 100), **below, **style)
 
     def show(moment: int) -> None:
-        stage.show(moment)
+        scene.show(moment)
         show_curves(moment)
         k = moment // SUBSTEPS
-        here = film.present[k]
-        time_s = np.interp(moment / SUBSTEPS, np.arange(film.steps + 1), film.times_s)
-        # Poses move between two looks; who is seen is known at a look, and stands until the next one.
-        last = f"last look at {film.times_s[k]:.1f} s: {(film.seen_at(k) & here).sum()} of {here.sum()} seen"
-        clock.set_text(f"t = {time_s:.1f} s   ({last})")
+        # Poses move between two looks; which targets are seen is known at a look, and stands until the next one.
+        last = f"last look at {data.times_s[k]:.1f} s: {data.seen_at(k).sum()} of {data.present[k].sum()} seen"
+        clock.set_text(f"t = {data.time_at(moment):.1f} s   ({last})")
 
-    return [*stage.artists, *lines, clock], show
+    return [*scene.artists, *lines, clock], show
 
 
-def _curves(axes: Axes, film: EpisodeData) -> tuple[list[Artist], Show]:
-    """log det of every target after every step, growing with time."""
-    known = np.where(film.present[1:], film.log_det, np.nan)
-    times = film.times_s[1:]
-    there = np.isfinite(known)
-    count = there.sum(axis=1)
-    mean = np.where(count > 0, np.where(there, known, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
-    points = np.stack(np.broadcast_arrays(times[:, None], known), axis=-1)
-    values = known[there]
-    low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
-    pad = 0.06 * (high - low) + 0.1
-    axes.set_xlim(0, film.times_s[-1] or 1.0)
-    axes.set_ylim(low - pad, high + pad)
+def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Show]:
+    """Draw log det of every target after every step, growing with time."""
+    times, mean, present = data.times_s[1:], data.mean_log_det, data.present[1:]
+    points = np.stack(np.broadcast_arrays(times[:, None], data.log_det), axis=-1)
+    axes.set_xlim(0, data.times_s[-1] or 1.0)
+    axes.set_ylim(*axis_range(data.log_det_present))
     axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
     axes.grid(color=PALE, lw=0.6)
     axes.set_axisbelow(True)
     clean(axes, 9.0)
     axes.set_xlabel("time [s]", fontsize=9, labelpad=2)
     axes.set_ylabel("log det of information [nat]", fontsize=9, labelpad=2)
-    short = film.steps <= 60
+    short = data.steps <= 60
     each = axes.add_line(Line2D([], [], color=GREY, lw=1.0 if short else 0.5))
     dots = axes.add_line(Line2D([], [], color=SEEN, ls="none", marker="o", ms=4 if short else 2))
     average = axes.add_line(Line2D([], [], color=BLACK, lw=2.0 if short else 1.0))
@@ -160,18 +146,18 @@ def _curves(axes: Axes, film: EpisodeData) -> tuple[list[Artist], Show]:
 
     def show(moment: int) -> None:
         k = moment // SUBSTEPS
-        each.set_data(*broken(points[:k], there[:k]).T)
-        dots.set_data(*points[:k][film.visible[:k] & there[:k]].T)
+        each.set_data(*broken(points[:k], present[:k]).T)
+        dots.set_data(*points[:k][data.visible[:k] & present[:k]].T)
         average.set_data(times[:k], mean[:k])
 
     return [each, dots, average], show
 
 
 def _gif(frames: list[np.ndarray], fps: int) -> bytes:
-    """All frames with one palette: the colours that fill most of a few of them.
+    """Encode frames as a GIF with one palette: the colours that fill most of a few frames.
 
-    Each that means something fills a patch of the legend, and so is among them; Pillow's own choice, an average, may
-    merge pale tints.
+    Each colour that means something fills a patch of the legend, and so is among them; Pillow's own choice, an
+    average, may merge pale tints.
     """
     sample = np.concatenate([frames[i] for i in np.linspace(0, len(frames) - 1, 5).astype(int)]).astype(np.uint32)
     colors, counts = np.unique(sample @ np.array([65536, 256, 1], np.uint32), return_counts=True)
@@ -189,13 +175,13 @@ def _gif(frames: list[np.ndarray], fps: int) -> bytes:
 
 
 def _mp4(frames: list[np.ndarray], fps: int) -> bytes:
-    """H.264 that browsers play, with the last frame held; ffmpeg wants a file that it can seek in."""
+    """Encode frames as H.264 that browsers play, the last one held; ffmpeg wants a file that it can seek in."""
     height, width = frames[0].shape[:2]
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-"]
     target = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]
     held = frames + frames[-1:] * round(HOLD_S * fps)
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "film.mp4"
+        file = Path(folder) / "episode.mp4"
         command = ["ffmpeg", "-loglevel", "error", "-y", *source, *target, str(file)]
         done = subprocess.run(command, input=b"".join(map(np.ndarray.tobytes, held)), capture_output=True)
         if done.returncode or not file.exists():

@@ -1,5 +1,6 @@
-"""Pictures of results on paper: episodes as they unfold, learning curves, recordings. Reads, never simulates."""
+"""Figures of results: episodes as they unfold, learning curves, recordings. Reads, never simulates."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,39 +32,40 @@ from foveate.plotting.scene import (
     new_figure,
     save,
 )
-from foveate.plotting.scene_spatial import scene_axes_of
+from foveate.plotting.scene_spatial import scene_class
 
 WIDTH = 9.0
 """Inches; at README width (about 900 pixels) a point is then 1.4 pixels."""
 
-
 COLUMNS = 4
 
 
-def trajectory_figure(films: Sequence[EpisodeData], path: Path) -> None:
-    """One row a film: the start, a third, two thirds and the end of it.
+def trajectory_figure(episodes: Sequence[EpisodeData], path: Path) -> None:
+    """Draw a row for each episode: its start, a third, two thirds and its end.
 
     Each panel shows the agent and its path so far, its field of view there, the targets (squares) with their tracks so
-    far, and what is believed about them: mean (cross) and 95 % ellipse or ellipsoid, solid if the target was
-    measured at that instant, dashed if not. Films that begin with the same targets share their limits. Raises
-    ValueError for no film.
+    far, and the beliefs: mean (cross) and 95 % ellipse or ellipsoid, solid if the target was measured at that instant,
+    dashed if not. Episodes that begin with the same targets share their limits.
+
+    Raises:
+        InputError: no episode.
     """
-    if not films:
-        raise InputError("no film to draw: expected at least one")
-    heights = [WIDTH / COLUMNS * scene_axes_of(film).panel_shape + 0.3 for film in films]
+    if not episodes:
+        raise InputError("no episode to draw: expected at least one")
+    heights = [WIDTH / COLUMNS * scene_class(data).panel_shape + 0.3 for data in episodes]
     figure = new_figure(WIDTH, sum(heights) + 0.3)
-    rows = figure.subfigures(len(films), 1, squeeze=False, height_ratios=heights)[:, 0]
-    for row, film in zip(rows, films, strict=True):
-        row.suptitle(describe(film), x=0.01, ha="left", fontsize=9, fontweight="bold")
-        kind = scene_axes_of(film)
-        box = kind.limits([other for other in films if _same_scene(film, other)])
-        instants = [round(film.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
+    rows = figure.subfigures(len(episodes), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for row, data in zip(rows, episodes, strict=True):
+        row.suptitle(describe(data), x=0.01, ha="left", fontsize=9, fontweight="bold")
+        kind = scene_class(data)
+        box = kind.limits([other for other in episodes if _same_scene(data, other)])
+        instants = [round(data.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
         for column, instant in enumerate(instants):
             axes: Any = row.add_subplot(1, COLUMNS, column + 1, axes_class=kind.axes_class)
-            stage = kind(axes, film, box, scale=kind.panel_scale)
-            stage.show(SUBSTEPS * instant)
-            stage.label(kind.panel_text, x=row is rows[-1], y=column == 0)
-            axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
+            scene = kind(axes, data, box, scale=kind.panel_scale)
+            scene.show(SUBSTEPS * instant)
+            scene.label(kind.panel_text, x=row is rows[-1], y=column == 0)
+            axes.set_title(f"t = {data.times_s[instant]:g} s", fontsize=8.5, pad=3)
     figure.legend(handles=legend_entries(), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
     save(figure, path)
 
@@ -73,11 +75,13 @@ def _same_scene(one: EpisodeData, other: EpisodeData) -> bool:
 
 
 def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
-    """Objective of the training batches (thin) and held-out score (bold) against epochs, for one run or several.
+    """Draw the objective of training batches (thin) and the held-out score (bold) against epochs, for one run or more.
 
-    `runs` are run folders or their `metrics.jsonl`. The best check is a star, a collapse (or a value that was not
-    finite) a dotted vertical line; seconds stand along the top for one run, in the legend for several. Raises
-    ValueError in one line where a file holds no check.
+    `runs` are run folders or their `metrics.jsonl`. The best validation is a star, a collapse (or a value that was not
+    finite) a dotted vertical line; seconds stand along the top for one run, in the legend for several.
+
+    Raises:
+        InputError: no run, or a file without a validation.
     """
     files = [run / METRICS if run.is_dir() else run for run in ([runs] if isinstance(runs, Path) else runs)]
     if not files:
@@ -86,19 +90,19 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     figure = new_figure(WIDTH, 4.0 + 0.07 * len(files))
     axes = figure.subplots()
     single = len(files) == 1
-    for file, checks, color in zip(files, histories, _colors(len(files)), strict=True):
-        epochs = [check.epoch for check in checks]
-        axes.plot(epochs, [check.objective for check in checks], color=color, lw=0.9, alpha=0.6)
+    for file, validations, color in zip(files, histories, itertools.cycle(CYCLE), strict=False):
+        epochs = [each.epoch for each in validations]
+        axes.plot(epochs, [each.objective for each in validations], color=color, lw=0.9, alpha=0.6)
         label = "held-out score" if single else file.resolve().parent.name
-        # As training does: the last that was the best when it was made.
-        for check in [check for check in checks if check.best][-1:]:
-            axes.plot(check.epoch, check.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
-            label += f": best {check.held_out:.2f} at epoch {check.epoch}"
-        label += "" if single else f", {checks[-1].elapsed_s:.0f} s"
-        axes.plot(epochs, [check.held_out for check in checks], color=color, lw=2, label=label)
-        for check in checks:
-            if check.event:
-                axes.axvline(check.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
+        # Each best so far is marked as such: the last of them is the best of all, whose policy training keeps.
+        for best in [each for each in validations if each.best][-1:]:
+            axes.plot(best.epoch, best.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
+            label += f": best {best.held_out:.2f} at epoch {best.epoch}"
+        label += "" if single else f", {validations[-1].elapsed_s:.0f} s"
+        axes.plot(epochs, [each.held_out for each in validations], color=color, lw=2, label=label)
+        for each in validations:
+            if each.event:
+                axes.axvline(each.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
     clean(axes, 9.0)
     axes.grid(color=PALE, lw=0.6)
     axes.set_xlabel("epoch", fontsize=9.5)
@@ -106,14 +110,10 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     axes.margins(x=0.01, y=0.1)
     if single:
         _seconds_on_top(axes, histories[0])
-    collapsed = any(check.event for checks in histories for check in checks)
+    collapsed = any(each.event for validations in histories for each in validations)
     handles = axes.get_legend_handles_labels()[0] + _curve_legend(single, collapsed)
     figure.legend(handles=handles, loc="outside lower center", ncols=4 if single else 3, fontsize=9, frameon=False)
     save(figure, path)
-
-
-def _colors(count: int) -> list[str]:
-    return [CYCLE[i % len(CYCLE)] for i in range(count)]
 
 
 def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
@@ -129,37 +129,39 @@ def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
     return entries
 
 
-def _seconds_on_top(axes: Axes, checks: Sequence[Validation]) -> None:
-    """A second x axis: the time at which the epochs of the first one were done."""
+def _seconds_on_top(axes: Axes, validations: Sequence[Validation]) -> None:
+    """Add a second x axis: the time at which the epochs of the first one were done."""
     top = axes.twiny()
     top.set_xlim(axes.get_xlim())
-    epochs = [0, *(check.epoch for check in checks)]
+    epochs = [0, *(each.epoch for each in validations)]
     ticks = [tick for tick in axes.get_xticks() if 0 <= tick <= epochs[-1]]
-    seconds = np.interp(ticks, epochs, [0.0, *(check.elapsed_s for check in checks)])
+    seconds = np.interp(ticks, epochs, [0.0, *(each.elapsed_s for each in validations)])
     top.set_xticks(ticks, [f"{value:.0f} s" for value in seconds])
     clean(top, 9.0)
     top.tick_params(labelcolor=GREY)
 
 
-def replay_figure(films: Mapping[str, EpisodeData], path: Path) -> None:
-    """A recording as several methods saw it; map and timeline are those of the first.
+def replay_figure(episodes: Mapping[str, EpisodeData], path: Path) -> None:
+    """Draw a recording as several methods saw it; map and timeline are those of the first.
 
     Left, the map (of space: from above and from the side): every target's track in grey, in colour while it was seen,
-    and the agent's path from the triangle on. Right, the timeline: one row a slot, which holds one target after
-    another, light while one is there, dark while it is seen; below it the share of all target time that each method
-    saw. Raises ValueError for no film.
+    and the agent's path, which begins at the triangle. Right, the timeline: a row for each slot, which holds one target
+    after another, light while one is present, dark while it is seen; below it each method's share of target time seen.
+
+    Raises:
+        InputError: no episode.
     """
-    if not films:
-        raise InputError("no film to draw: expected at least one")
-    name, film = next(iter(films.items()))
-    bars = 0.26 * len(films) + 0.25
-    height = max(3.4 + 1.0 * len(scene_axes_of(film).planes), 2.9 + bars)
+    if not episodes:
+        raise InputError("no episode to draw: expected at least one")
+    name, data = next(iter(episodes.items()))
+    bars = 0.26 * len(episodes) + 0.25
+    height = max(3.4 + 1.0 * len(scene_class(data).planes), 2.9 + bars)
     figure = new_figure(WIDTH, height)
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
-    _maps(left, film, name)
+    _maps(left, data, name)
     timeline, shares = right.subplots(2, 1, height_ratios=(height - 0.9 - bars, bars))
-    _timeline(timeline, film, name)
-    _shares(shares, films)
+    _timeline(timeline, data, name)
+    _shares(shares, episodes)
     handles = [
         Line2D([], [], color=AGENT, lw=1.3, marker=">", ms=5, label=f"agent ({name})"),
         Line2D([], [], color=GREY, lw=0.8, label="target"),
@@ -171,17 +173,17 @@ def replay_figure(films: Mapping[str, EpisodeData], path: Path) -> None:
     save(figure, path)
 
 
-def _maps(part: SubFigure, film: EpisodeData, name: str) -> None:
-    """What was seen where, from every side that the space has: of one scale, one above the other."""
-    planes = scene_axes_of(film).planes
-    points = np.concatenate([film.truth[film.present], positions(film.pose)])
+def _maps(part: SubFigure, data: EpisodeData, name: str) -> None:
+    """Draw maps of what was seen, one for each pair of axes of the space, of one scale, one above the other."""
+    planes = scene_class(data).planes
+    points = np.concatenate([data.truth[data.present], positions(data.pose)])
     low, high = points.min(axis=0), points.max(axis=0)
     pad = max(0.05 * (high - low).max(), 0.5)
     sides = part.subplots(
         len(planes), 1, sharex=True, squeeze=False, height_ratios=[(high - low + 2 * pad)[up] for _, up in planes]
     )
     for axes, plane in zip(sides[:, 0], planes, strict=True):
-        _map(axes, film, plane)
+        _map(axes, data, plane)
         if len(planes) > 1:
             axes.set_aspect("equal", adjustable="box")
             (left, bottom), (right, top) = (low - pad)[list(plane)], (high + pad)[list(plane)]
@@ -190,13 +192,13 @@ def _maps(part: SubFigure, film: EpisodeData, name: str) -> None:
     sides[0, 0].set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
 
 
-def _map(axes: Axes, film: EpisodeData, plane: tuple[int, int]) -> None:
-    """Tracks, where they were seen, and the way of the agent, in the plane of two axes of the world."""
+def _map(axes: Axes, data: EpisodeData, plane: tuple[int, int]) -> None:
+    """Draw tracks, the parts of them that were seen, and the agent's path, in the plane of two axes of the world."""
     across, up = plane
-    truth, arc = film.truth[..., plane], film.arc()
-    axes.plot(*broken(truth, film.present).T, color=GREY, lw=0.6, alpha=0.8)
+    truth, arc = data.truth[..., plane], data.arc()
+    axes.plot(*broken(truth, data.present).T, color=GREY, lw=0.6, alpha=0.8)
     ends = np.stack([truth[:-1], truth[1:]], axis=2)
-    axes.add_collection(LineCollection(list(ends[film.visible & film.counted]), colors=SEEN, lw=2.2, zorder=3))
+    axes.add_collection(LineCollection(list(ends[data.visible & data.counted]), colors=SEEN, lw=2.2, zorder=3))
     way, nose = positions(arc)[:, plane], rotation(arc[0])[plane, 0]
     axes.plot(*way.T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
     heading = (3, 0, np.degrees(np.arctan2(nose[1], nose[0])) - 90)
@@ -207,17 +209,17 @@ def _map(axes: Axes, film: EpisodeData, plane: tuple[int, int]) -> None:
     axes.set_ylabel(f"{'xyz'[up]} [m]", fontsize=8.5, labelpad=3)
 
 
-def _timeline(axes: Axes, film: EpisodeData, name: str) -> None:
-    """Rows of targets over time: there or not, seen or not."""
-    end, there, seen = film.times_s[-1], film.counted, film.visible & film.counted
-    for column in range(film.targets):
-        for which, color, edge in ((there, PALE, 0.0), (seen, SEEN, 0.5)):
+def _timeline(axes: Axes, data: EpisodeData, name: str) -> None:
+    """Draw rows of targets over time: present or not, seen or not."""
+    end, present, seen = data.times_s[-1], data.counted, data.visible & data.counted
+    for column in range(data.targets):
+        for which, color, edge in ((present, PALE, 0.0), (seen, SEEN, 0.5)):
             # The edge keeps a glimpse of one step visible where a step is less than a pixel.
-            runs = [film.times_s[[first, first + length]] for first, length in _runs(which[:, column])]
+            runs = [data.times_s[[first, first + length]] for first, length in _runs(which[:, column])]
             spans = [(start, end - start) for start, end in runs]
             axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
     axes.set_xlim(0, end)
-    axes.set_ylim(max(film.targets, 1) + 0.5, 0.5)
+    axes.set_ylim(max(data.targets, 1) + 0.5, 0.5)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     clean(axes)
     axes.set_ylabel("target slot", fontsize=8.5, labelpad=4)
@@ -226,16 +228,16 @@ def _timeline(axes: Axes, film: EpisodeData, name: str) -> None:
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First index and length of every run of true values."""
+    """Find the first index and the length of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
     return [(int(first), int(end - first)) for first, end in edges]
 
 
-def _shares(axes: Axes, films: Mapping[str, EpisodeData]) -> None:
-    """The share of target time that each method saw."""
-    values = [100 * film.seen_share for film in films.values()]
-    colors = [SEEN, *[GREY] * (len(films) - 1)]
-    bars = axes.barh(list(films), values, color=colors, height=0.65)
+def _shares(axes: Axes, episodes: Mapping[str, EpisodeData]) -> None:
+    """Draw each method's share of target time seen."""
+    values = [100 * data.seen_share for data in episodes.values()]
+    colors = [SEEN, *[GREY] * (len(episodes) - 1)]
+    bars = axes.barh(list(episodes), values, color=colors, height=0.65)
     axes.bar_label(bars, [f"{value:.1f} %" for value in values], fontsize=8.5, padding=3)
     axes.set_xlim(0, max(1.0, 1.18 * max(values)))
     axes.invert_yaxis()

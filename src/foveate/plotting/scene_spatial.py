@@ -1,4 +1,4 @@
-"""One scene of space in its axes: what `drawing` is for the plane, seen by a camera, over a floor that shows depth."""
+"""Spatial scene of an episode in its axes: seen by a camera, over a floor that shows depth."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, TypeVar
@@ -12,41 +12,41 @@ from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection, Poly3DCollectio
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from foveate.geometry.numpy_poses import placed, positions
-from foveate.plotting.ellipsoids import CHI_SQUARE_95, contours, faces, meridians
+from foveate.plotting.ellipsoids import contours, faces, half_widths, meridians
 from foveate.plotting.episode_data import EpisodeData, snapshot
-from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN, PlanarScene, broken
+from foveate.plotting.scene import AGENT, BLACK, DASHED, GREY, SEEN, SKY, UNSEEN, PlanarScene, broken
 
 Drawn = TypeVar("Drawn", Poly3DCollection, Line3DCollection)
 
-
 DART = np.array([[1.1, 0, 0], [-0.8, 0.65, 0], [-0.8, -0.65, 0], [-0.8, 0, 0.5]])
-
-
 DART_FACES, DART_COLORS = ((0, 1, 3), (0, 2, 3), (0, 1, 2), (1, 2, 3)), (AGENT, "#00568A", "#003A5E", "#003A5E")
 """The agent: its nose along +x, its fin up, as if lit from its left."""
 
-
 ELEVATION, AZIMUTH, SWING = 27.0, -62.0, 36.0
-"""The camera, and how far it goes around the scene in an animation [degrees]."""
+"""The camera, and the angle it moves around the scene in an animation [degrees]."""
+
+FLOOR, GRID, SHADE = "#F7F7F7", "#D8D8D8", "#9A9A9A"
+VIEW_SHADE, PATH_SHADE = "#E4EEF5", "#B8C4CE"
+"""The floor, its lines, and the shadows on it."""
 
 
-def limits(films: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 3"]:
-    """Lower and upper corner [m] of the box that shows targets and agent of these films at every instant.
+def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 3"]:
+    """Lower and upper corner [m] of the box that shows targets and agent of these episodes at every instant.
 
-    View and beliefs are shown as far as they reach beyond that by 15 % at most: the one turns about, and the others may
-    grow for ever. More is shown around a box that is small beside the view. No belief lowers the floor.
+    View and beliefs add 15 % at most to that: the view turns about, and beliefs may grow without bound. More is shown
+    around a box that is small beside the view. No belief lowers the floor, or its shadows would lie far below.
     """
     core, soft = [], []
-    for film in films:
-        core += [film.truth[film.present], positions(film.pose)]
-        soft += [placed(pose, line) for pose in film.pose for line in film.outline]
-        mean, covariance = film.estimate[film.present], film.covariance[film.present]
-        spread = np.sqrt(CHI_SQUARE_95 * np.diagonal(covariance, axis1=-2, axis2=-1))
-        soft += [mean - spread * [1, 1, 0], mean + spread]
+    for data in episodes:
+        core += [data.truth[data.present], positions(data.pose)]
+        soft += [placed(pose, line) for pose in data.pose for line in data.outline]
+        mean, covariance = data.estimate[data.present], data.covariance[data.present]
+        width = half_widths(covariance)
+        soft += [mean - width * [1, 1, 0], mean + width]
     points, more = np.concatenate(core), np.concatenate([*core, *soft])
     low, high = points.min(axis=0), points.max(axis=0)
     extent = (high - low).max()
-    depth = max((np.linalg.norm(line, axis=1).max() for film in films for line in film.outline), default=0.0)
+    depth = max((np.linalg.norm(line, axis=1).max() for data in episodes for line in data.outline), default=0.0)
     reach = max(0.15 * extent, depth - extent / 2)
     low = np.minimum(low, np.maximum(more.min(axis=0), low - reach))
     high = np.maximum(high, np.minimum(more.max(axis=0), high + reach))
@@ -57,26 +57,27 @@ def limits(films: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarr
 class SpaceAxes(Axes3D):
     """3-D axes that fill a place of any shape, where matplotlib's own fill a square in it."""
 
-    seen: np.ndarray = np.array([[-0.1, -0.1], [0.1, 0.1]])
-    """Corners of what has to be shown, in the camera's plane."""
+    shown: np.ndarray = np.array([[-0.1, -0.1], [0.1, 0.1]])
+    """Corners of the part of the camera's plane that has to be shown."""
     margin_pt: float = 22.0
     """Room for the numbers around it."""
 
     @property
     def eye(self) -> Float[np.ndarray, "3"]:
-        """Where the camera is [m]: the one point without a place in its picture, at depth 0."""
+        """Position of the camera [m]."""
+        # The one point that projects nowhere: the null vector of the projection's rows of x, y and depth.
         point = np.linalg.svd(self.get_proj()[[0, 1, 3]])[2][-1]
         return point[:3] / point[3]
 
     def apply_aspect(self, position: Bbox | None = None) -> None:
-        """Take the whole place, and look at as much of the camera's plane as it shows at equal scales."""
+        """Fill the place given, and show as much of the camera's plane in it as fits at equal scales."""
         del position  # that of a locator, which these axes never have
         self.reset_position()
         self.set_in_layout(True)  # a position that is set takes axes out of the layout
         figure = self.get_figure(root=True)
         assert figure is not None, "drawn in a figure only"
         pixels, room = self.bbox.size, figure.dpi / 72 * self.margin_pt * np.array([2.0, 1.1])
-        middle, extent = self.seen.mean(axis=0), np.ptp(self.seen, axis=0)
+        middle, extent = self.shown.mean(axis=0), np.ptp(self.shown, axis=0)
         scale = np.max(extent / np.maximum(pixels - room, 1.0))
         # Most of it is needed below and on the right, where the numbers of z are; none above.
         middle = middle + scale * room * [0.3, -0.45]
@@ -85,7 +86,7 @@ class SpaceAxes(Axes3D):
 
 
 class SpatialScene:
-    """A scene of space in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
+    """A spatial scene in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
 
     Everything has a shadow or a drop line on the floor. `trail` is how many steps back trails and path reach, None for
     all; where they have a limit, the scene is an animation, and the camera moves. `scale` grows the symbols.
@@ -94,22 +95,22 @@ class SpatialScene:
     axes_class: ClassVar[Any] = SpaceAxes
     limits = staticmethod(limits)
     max_frames = 100
-    """Each is new all over: with more of them a GIF is larger than a page should load."""
+    """Most frames of one animation: as the camera moves, each is new all over, and a GIF soon too large for a page."""
     planes: ClassVar[tuple[tuple[int, int], ...]] = ((0, 1), (0, 2))
     panel_shape, panel_scale, panel_text = 0.85, 0.7, 6.5
 
     @staticmethod
     def place(width: int, height: int, bottom: float, top: float) -> tuple[float, float, float, float]:
-        """Where the axes stand in a picture [pixels]: left, bottom, width, height. They hold their own numbers."""
+        """Place of the axes in a picture [pixels]: left, bottom, width, height. They hold their own numbers."""
         return 0.0, 0.4 * bottom, 0.575 * width, height - 0.4 * bottom - 0.5 * top
 
     def __init__(
-        self, axes: SpaceAxes, film: EpisodeData, box: np.ndarray, trail: int | None = None, scale: float = 1.0
+        self, axes: SpaceAxes, data: EpisodeData, box: np.ndarray, trail: int | None = None, scale: float = 1.0
     ) -> None:
-        self.axes, self.film, self.arc, self.trail = axes, film, film.arc(), trail
+        self.axes, self.data, self.arc, self.trail = axes, data, data.arc(), trail
         self.size = 0.045 * float((box[1] - box[0]).max())
         self.floor = float(box[0, 2])
-        self.faces = faces(film.outline)
+        self.faces = faces(data.outline)
         self.swing = 0.0 if trail is None else SWING
         _furnish(axes, box)
         _aim(axes, box, self.swing)
@@ -125,13 +126,13 @@ class SpatialScene:
         def net(color: str, zorder: float, **style: Any) -> Line3DCollection:
             return _added(axes, Line3DCollection([], colors=color, zorder=zorder, **style))
 
-        self.view_shadow = area("#E4EEF5", 1.0, edgecolors="#E4EEF5", linewidths=0.6)
-        self.path_shadow = line("#B8C4CE", lw=1.1 * scale, zorder=1.3)
+        self.view_shadow = area(VIEW_SHADE, 1.0, edgecolors=VIEW_SHADE, linewidths=0.6)
+        self.path_shadow = line(PATH_SHADE, lw=1.1 * scale, zorder=1.3)
         self.drops = line(GREY, lw=0.7 * scale, ls=(0, (1, 2)), zorder=1.4)
-        self.shadows = line("#9A9A9A", ls="none", marker="o", ms=2.6 * scale, zorder=1.5)
+        self.shadows = line(SHADE, ls="none", marker="o", ms=2.6 * scale, zorder=1.5)
         self.trails = line(GREY, lw=0.9 * scale, zorder=2)
-        self.unseen = area(UNSEEN + "1A", 3.0, edgecolors=UNSEEN, linewidths=1.0 * scale, linestyles=[(0, (3, 2))])
-        self.unseen_net = net(UNSEEN + "66", 3.1, linewidths=0.6 * scale, linestyles=[(0, (3, 2))])
+        self.unseen = area(UNSEEN + "1A", 3.0, edgecolors=UNSEEN, linewidths=1.0 * scale, linestyles=[DASHED])
+        self.unseen_net = net(UNSEEN + "66", 3.1, linewidths=0.6 * scale, linestyles=[DASHED])
         self.path = line(AGENT, lw=1.5 * scale, zorder=4)
         self.view = area(SKY + "2E", 5.0, edgecolors="none")
         self.edges = net(AGENT, 5.1, linewidths=0.9 * scale)
@@ -145,37 +146,37 @@ class SpatialScene:
 
     @property
     def artists(self) -> list[Artist]:
-        """All that moves: the axes themselves, as the camera does."""
+        """Artists that move: the axes themselves, as the camera does."""
         return [self.axes]
 
     def show(self, moment: int) -> None:
-        """Move to a moment of the film (see `snapshot`)."""
-        now = snapshot(self.film, self.arc, moment, self.trail)
+        """Move to a moment of the episode."""
+        state = snapshot(self.data, self.arc, moment, self.trail)
         self.axes.view_init(ELEVATION, AZIMUTH + self.swing * (moment / max(1, len(self.arc) - 1) - 0.5))
         eye = self.axes.eye
-        self.trails.set_data_3d(*broken(now.tracks, now.tracked).T)
-        self.path.set_data_3d(*now.path.T)
-        self.path_shadow.set_data_3d(*self._on_floor(now.path).T)
-        posts = np.concatenate([now.truth, positions(now.pose)[None]])
+        self.trails.set_data_3d(*broken(state.tracks, state.tracked).T)
+        self.path.set_data_3d(*state.path.T)
+        self.path_shadow.set_data_3d(*self._on_floor(state.path).T)
+        posts = np.concatenate([state.truth, positions(state.pose)[None]])
         self.drops.set_data_3d(*broken(np.stack([posts, self._on_floor(posts)]), np.ones((2, len(posts)), bool)).T)
         self.shadows.set_data_3d(*self._on_floor(posts).T)
-        walls = [placed(now.pose, face) for face in self.faces]
+        walls = [placed(state.pose, face) for face in self.faces]
         self.view.set_verts(walls)
         self.view_shadow.set_verts([self._on_floor(wall) for wall in walls])
-        self.edges.set_segments([placed(now.pose, line) for line in self.film.outline])
-        self.agent.set_verts([placed(now.pose, self.size * DART[list(face)]) for face in DART_FACES])
-        self.targets.set_data_3d(*now.truth.T)
+        self.edges.set_segments([placed(state.pose, line) for line in self.data.outline])
+        self.agent.set_verts([placed(state.pose, self.size * DART[list(face)]) for face in DART_FACES])
+        self.targets.set_data_3d(*state.truth.T)
         for areas, net, means, which in (
-            (self.seen, self.seen_net, self.seen_means, now.seen),
-            (self.unseen, self.unseen_net, self.unseen_means, ~now.seen),
+            (self.seen, self.seen_net, self.seen_means, state.seen),
+            (self.unseen, self.unseen_net, self.unseen_means, ~state.seen),
         ):
-            belief = now.estimate[which], now.covariance[which]
+            belief = state.estimate[which], state.covariance[which]
             areas.set_verts(list(contours(*belief, eye)))
             net.set_segments(list(meridians(*belief, eye)))
             means.set_data_3d(*belief[0].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:
-        """Small numbers where `y` asks for them, the names of the axes where both do: all panels show the same box."""
+        """Set small numbers where `y`, and the names of the axes where `x` and `y`: all panels show the same box."""
         self.axes.margin_pt = 2.3 * size
         for name, axis in (("x", self.axes.xaxis), ("y", self.axes.yaxis), ("z", self.axes.zaxis)):
             axis.set_tick_params(labelsize=size, pad=0.3 * size - 5.7, color=GREY, width=0.6)
@@ -194,7 +195,7 @@ def _added(axes: SpaceAxes, collection: Drawn) -> Drawn:
 
 
 def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
-    """Equal scales, a light grid on a floor, no walls."""
+    """Set equal scales, and draw a light grid on a floor, no walls."""
     low, high = box
     axes.set(xlim=box[:, 0], ylim=box[:, 1], zlim=box[:, 2])
     axes.set_box_aspect(high - low)
@@ -212,13 +213,14 @@ def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
     x, y = x[(x > low[0]) & (x < high[0])], y[(y > low[1]) & (y < high[1])]
     segments = [[(t, low[1], low[2]), (t, high[1], low[2])] for t in (low[0], *x, high[0])]
     segments += [[(low[0], t, low[2]), (high[0], t, low[2])] for t in (low[1], *y, high[1])]
-    _added(axes, Line3DCollection(segments, colors="#D8D8D8", linewidths=0.6, zorder=1.2))
+    _added(axes, Line3DCollection(segments, colors=GRID, linewidths=0.6, zorder=1.2))
     floor = [(box[i, 0], box[j, 1], low[2]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    _added(axes, Poly3DCollection([floor], facecolors="#F7F7F7", zorder=0.9))
+    _added(axes, Poly3DCollection([floor], facecolors=FLOOR, zorder=0.9))
 
 
 def _aim(axes: SpaceAxes, box: np.ndarray, swing: float) -> None:
-    """Keep the box in sight from wherever the camera will be."""
+    """Keep the box in sight from every place that the camera will have."""
+    # At the ends and in the middle of the swing: between them no corner reaches notably farther.
     corners = np.array([(x, y, z, 1.0) for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
     flat = []
     for turn in (-swing / 2, 0.0, swing / 2):
@@ -226,9 +228,9 @@ def _aim(axes: SpaceAxes, box: np.ndarray, swing: float) -> None:
         x, y, _, w = axes.get_proj() @ corners.T
         flat.append(np.stack([x / w, y / w], axis=1))
     points = np.concatenate(flat)
-    axes.seen = np.stack([points.min(axis=0), points.max(axis=0)])
+    axes.shown = np.stack([points.min(axis=0), points.max(axis=0)])
 
 
-def scene_axes_of(film: EpisodeData) -> type[PlanarScene] | type[SpatialScene]:
-    """What draws a film."""
-    return SpatialScene if film.space.dimension == 3 else PlanarScene
+def scene_class(data: EpisodeData) -> type[PlanarScene] | type[SpatialScene]:
+    """Class of the scenes that draw an episode, by the dimension of its space."""
+    return SpatialScene if data.space.dimension == 3 else PlanarScene

@@ -1,4 +1,4 @@
-"""From a recording to a scenario: who moves there and how, as an experiment that trains a policy for it."""
+"""Fit an experiment to a recording: a scenario with its targets, for the user's robot, and a policy to train."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -19,7 +19,7 @@ from foveate.scenario.target import VelocityTarget
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """The user's agent and sensor: top speed [m/s], turn rate [rad/s], depth [m] and angle [deg] of view, noise [m].
+    """User's agent and sensor: top speed [m/s], turn rate [rad/s], depth [m] and angle [deg] of view, noise [m].
 
     In space a quadrotor that climbs at half its speed, with a camera two thirds as high as wide.
     """
@@ -34,11 +34,10 @@ class Robot:
 def fit_experiment(
     statistics: MotionStatistics, robot: Robot, goal: Literal["seen", "information"] = "seen"
 ) -> Experiment:
-    """A scenario whose targets appear where the recording has them and move as it says, for the user's robot, and a
-    policy that learns there by trying.
+    """Make an experiment whose targets appear and move as in a recording, with a policy to train by actor-critic.
 
-    `goal`: to have the targets in view for as long as possible ("seen"), or to know all of them well ("information":
-    the policy then looks around rather than stays).
+    `goal`: keep targets in view for as long as possible ("seen"), or estimate all of them well ("information": the
+    policy then looks around rather than stays).
     """
     agent, view = _quadrotor(robot) if len(statistics.robust_lower_m) == 3 else _drive(robot)
     scenario = Scenario(
@@ -85,7 +84,7 @@ def _quadrotor(robot: Robot) -> tuple[Quadrotor, FrustumView]:
 
 
 def _target(statistics: MotionStatistics) -> VelocityTarget:
-    """Velocities driven by white noise of the recording's accelerations, and forgotten as its speeds stay bounded.
+    """Target with velocities driven by white noise of the recording's accelerations, damped as its speeds are bounded.
 
     A speed of stationary second moment s^2 under noise of density q has a memory of 2 s^2 / q.
     """
@@ -104,11 +103,11 @@ def _target(statistics: MotionStatistics) -> VelocityTarget:
 
 
 def _scenes(statistics: MotionStatistics) -> SceneSettings:
-    """Targets up to as many as the recording has, as fast, uniform in the box of 98 % of its fixes, for 20 s."""
+    """Scenes of 20 s with as many targets as the recording has, as fast, uniform in the box of 98 % of its fixes."""
     lower, upper = statistics.robust_lower_m, statistics.robust_upper_m
     sides = tuple(float(x) for x in np.maximum((upper - lower) / 2, 1.0))
     return SceneSettings(
-        targets_min=1,  # what was there at once is a sample
+        targets_min=1,  # the number present at once varies: train for few, too
         targets_max=max(2, int(np.ceil(statistics.at_once_p95))),
         centre_m=tuple(float(x) for x in (lower + upper) / 2),
         half_side_m=sides,

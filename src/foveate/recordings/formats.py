@@ -16,14 +16,8 @@ from foveate.io.files import read_text
 from foveate.recordings.recording import Recording, Track
 
 COLUMNS = ("time_s", "track_id", "x_m", "y_m", "z_m")
-
-
 MAX_LINE_BYTES = 4096
-
-
 MAX_MAGNITUDE = 1e12  # s or m: squares stay finite, and a float64 clock still resolves 0.2 ms
-
-
 _HEADER = "the header must be time_s,track_id,x_m,y_m or time_s,track_id,x_m,y_m,z_m"
 
 
@@ -31,12 +25,12 @@ def load_recording(path: str | PathLike[str]) -> Recording:
     """Read a recording, strictly.
 
     Track ids are text, numbers too ("7" and "07" differ; blanks around them do not count). Blank lines and a
-    byte-order mark are passed over. Memory grows only with the number of fixes, (d + 2) numbers for each. Where a file
-    of the same name with .sha256 behind it lies beside the recording (`sha256sum r.csv > r.csv.sha256` makes it), the
-    recording must be what that says: CSV itself does not show a changed digit.
+    byte-order mark are ignored. Memory grows only with the number of fixes, (d + 2) numbers for each. If a file of the
+    same name and .sha256 lies beside the recording (`sha256sum r.csv > r.csv.sha256`), the recording must have that
+    sum: CSV itself does not show a changed digit.
 
     Raises:
-        ValueError: one line with file, line number, the value, and what would be right.
+        InputError: one line with file, line number, the value, and what would be right.
     """
     path = Path(path)
     try:
@@ -55,17 +49,18 @@ def load_recording(path: str | PathLike[str]) -> Recording:
 
 
 def _check_sum(path: Path, sha256: str) -> None:
-    """Raise ValueError where a sum lies beside the recording, and is another."""
+    """Raise InputError where a sum lies beside the recording, and is another."""
     beside = path.with_name(f"{path.name}.sha256")
     if not sha256 or not beside.is_file():
         return
-    wanted = read_text(beside, "SHA-256 sum").split()[:1]
-    if wanted != [sha256]:
+    if read_text(beside, "SHA-256 sum").split()[:1] != [sha256]:
         raise InputError(f"{path}: is cut short, damaged or changed: {beside.name} says another SHA-256 sum")
 
 
 def _parse(path: Path, file: BinaryIO) -> Recording:
+    """Parse the rows into tracks."""
     reader = csv.reader(_lines(file), strict=True)
+    # A record in quotes may span lines: an error names the line on which it begins.
     line = 1
     try:
         dimension = _header_dimension(next(reader, None))
@@ -105,7 +100,7 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
 
 
 def _lines(file: BinaryIO) -> Iterator[str]:
-    """Decoded lines, each one bounded: a file that is no text at all must not fill the memory."""
+    """Yield decoded lines of bounded length: a file that is no text at all must not fill the memory."""
     encoding = "utf-8-sig"
     while raw := file.readline(MAX_LINE_BYTES + 1):
         if len(raw) > MAX_LINE_BYTES:

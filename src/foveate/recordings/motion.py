@@ -1,16 +1,14 @@
-"""What a recording says about its targets: how many, how fast, how long, and how their motion is modelled.
+"""Statistics of the targets of a recording: number, speed, lifetime, and the parameters of motion models.
 
-All motion is estimated from pairs of real fixes, not from interpolated positions: interpolation would smooth
-a random walk (its displacement over one tau would come out too small by up to the factor tau / fix interval).
-A pair spans about h = max(tau, median fix interval) and its true time difference dt is used, so an irregular
-clock does no harm.
+All motion is estimated from pairs of real fixes (see `velocities`), not from interpolated positions: interpolation
+would smooth a random walk (its displacement over one tau would come out too small by up to the factor tau / fix
+interval).
 
-Outliers are met three times. (1) A fix that is *out and back*, both its steps more than 10 times the median
-of the steps around it and 3 times the step that would skip it, is left out. (2) Pairs faster than 4 times the
-98th percentile of all are left out of the moments: a Gaussian walk never comes near that limit, and up to 2 %
-of wrong pairs are removed wherever they lie. The limit is no multiple of the median (MAD), because targets
-that stand still most of the time have a median of zero, and their motion must not be cut off.
-(3) Percentiles, of the extent too, are reported beside the extremes.
+Outliers are met three times. (1) A fix that is *out and back* is left out (see `without_spikes`). (2) Pairs
+faster than 4 times the 98th percentile of all are left out of the moments: a Gaussian walk never comes near that
+limit, and up to 2 % of wrong pairs are removed wherever they lie. The limit is no multiple of the median (MAD),
+because targets that stand still most of the time have a median of zero, and their motion must not be cut off. (3)
+Percentiles, of the extent too, are reported beside the extremes.
 """
 
 from dataclasses import dataclass
@@ -20,29 +18,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from foveate.errors import InputError
-from foveate.recordings.recording import Recording, Track, resample_slots
-
-_SPIKE_STEPS = 10.0
-
-
-_SPIKE_DETOUR = 3.0
-
-
-_SPIKE_NEIGHBOURS = 5  # steps on each side
-
+from foveate.recordings.recording import Recording, resample
+from foveate.recordings.velocities import Velocities, velocities, without_spikes
 
 _TRIM_FACTOR, _TRIM_PERCENTILE = 4.0, 98.0
-
-
 _FLOOR_STD = 1e-3  # m per step, or m/s^1.5: below what any tracker resolves
-
-
 _FLOOR_RATIO = 1e-4  # of the largest eigenvalue: keeps the inverse exact to 1e-3 in float32
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionStatistics:
-    """Statistics of a recording at the control step `tau_s`; positions in metres, times in seconds.
+    """Motion statistics of a recording at the control step `tau_s`; positions in metres, times in seconds.
 
     at_once_*: targets present at one instant, over the instants with a target at all (a share
         `occupied_fraction` of the span), so that `at_once_min` >= 1.
@@ -52,7 +38,9 @@ class MotionStatistics:
         displacement over tau about zero (it holds the mean motion too), symmetric positive definite [m^2].
         Fixes with noise of variance r per axis add 2 r to its diagonal.
     acceleration_intensity: white-noise acceleration intensity q of a constant-velocity model [m^2/s^3]; None
-        where no track has three fixes in a row. See `fit_statistics`.
+        where no track has three fixes in a row. Fixes with noise of variance r per axis add 9 r / h^3 to it, h the
+        time between fixes of a pair, which dominates at short h: an upper bound, to be trusted where it stays the
+        same for a longer tau.
     persistence: correlation of consecutive velocities, about zero: 1 straight on, 0 random walk, -1 back and
         forth; 0 where nothing moves; None as above.
     lifetime_s, lifetime_steps: median time from first to last fix of a track, and in steps of tau.
@@ -85,10 +73,10 @@ class MotionStatistics:
     trimmed_fraction: float
 
     def lines(self) -> list[str]:
-        """What a person wants to know of it, a line each."""
+        """Summary for a person, line by line."""
         lower, upper = self.robust_lower_m, self.robust_upper_m
         walk = np.sqrt(np.diag(self.walk_covariance_m2))
-        found = [
+        summary = [
             f"{self.tracks} tracks in {self.span_s:.0f} s; at once {self.at_once_min} to {self.at_once_max}, "
             f"median {self.at_once_median:g}",
             "extent "
@@ -99,64 +87,36 @@ class MotionStatistics:
         ]
         if self.acceleration_intensity is not None and self.persistence is not None:
             q = np.diag(self.acceleration_intensity)
-            found.append(
+            summary.append(
                 f"constant velocity (estimate): q = {' x '.join(f'{x:.3g}' for x in q)} m^2/s^3, "
                 f"persistence of direction {self.persistence:.2f}"
             )
-        return found
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Velocities:
-    """Mean velocities [m/s] over pairs of fixes and the spans [s] of these pairs, from all tracks.
-
-    `turns` holds, row by row, the indices of two pairs of which the second starts where the first ends.
-    """
-
-    velocity: Float[np.ndarray, "pairs d"]
-    dt: Float[np.ndarray, " pairs"]
-    turns: np.ndarray
+        return summary
 
 
 def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None = None) -> MotionStatistics:
     """Estimate the motion of a recording's targets for a control step of `tau_s`.
 
     `max_gap_s` is the longest gap between two fixes over which a target counts as present, and no pair of
-    fixes spans a longer one; None takes `default_max_gap_s`.
-
-    W: mean of dy dy^T over pairs of fixes about h apart, each dy scaled to one tau by (tau / dt)^(a/2). The
-    exponent a = 1 + log2(1 + max(persistence, 0)) says how the second moment grows with time: as 1 for a
-    random walk, as 2 for straight motion. It matters only where the fixes are further apart than tau.
-
-    q: for a velocity driven by white noise, two consecutive mean velocities over h1 and h2 differ by noise of
-    covariance q (h1 + h2) / 3, so q is the mean of 3 dv dv^T / (h1 + h2). Fixes with noise of variance r per
-    axis add 9 r / h^3 to it, which dominates at short h: q is an upper bound, to be trusted where it stays
-    the same for a longer tau.
+    fixes spans a longer one; None takes `default_max_gap_s`. Pairs are about max(tau, median fix interval) apart.
 
     Raises:
-        ValueError: as `foveate.recordings.recording.resample_slots`, or no pair of fixes closer than the gap allows.
+        InputError: as `foveate.recordings.recording.resample`, or no pair of fixes closer than the gap allows.
     """
     interval_s = median_fix_interval_s(recording)
     gap_s = default_max_gap_s(recording) if max_gap_s is None else max_gap_s
-    count = resample_slots(recording, tau_s, gap_s).present.sum(axis=1)
+    count = resample(recording, tau_s, gap_s).present.sum(axis=1)
     # A short recording may hold its only target between two instants.
     occupied = count[count > 0] if count.any() else np.ones(1, dtype=int)
-    kept = [_without_spikes(track) for track in recording.tracks]
-    pairs = _velocities(kept, max(tau_s, interval_s), gap_s)
-    if not len(pairs.dt):
-        raise InputError(
-            f"{recording.name}: no track has two fixes about {max(tau_s, interval_s):g} s apart "
-            f"without a gap over {gap_s:g} s; the median fix interval is {interval_s:g} s: "
-            "choose max_gap_s above it"
-        )
+    kept = [without_spikes(track) for track in recording.tracks]
+    pairs = velocities(kept, max(tau_s, interval_s), gap_s)
+    _check_pairs(pairs, recording.name, tau_s, interval_s, gap_s)
     positions = np.concatenate([track.positions_m for track in kept])
     lower, upper = recording.extent
     life_s = float(np.median([track.times_s[-1] - track.times_s[0] for track in recording.tracks]))
     speed = np.linalg.norm(pairs.velocity, axis=1)
     usual = _usual(speed)
     persistence, acceleration = _turning(pairs, usual)
-    exponent = 1.0 + log2(1.0 + max(persistence or 0.0, 0.0))
-    steps = pairs.velocity * (pairs.dt * (tau_s / pairs.dt) ** (exponent / 2.0))[:, None]
     robust_lower, robust_upper = np.percentile(positions, [1.0, 99.0], axis=0)
     return MotionStatistics(
         tau_s=tau_s,
@@ -174,7 +134,7 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
         robust_upper_m=robust_upper,
         speed_median_m_s=float(np.median(speed[usual])),
         speed_p95_m_s=float(np.percentile(speed[usual], 95.0)),
-        walk_covariance_m2=_second_moment(steps[usual]),
+        walk_covariance_m2=_walk_covariance(pairs, usual, persistence or 0.0, tau_s),
         acceleration_intensity=acceleration,
         persistence=persistence,
         lifetime_s=life_s,
@@ -185,11 +145,19 @@ def fit_statistics(recording: Recording, tau_s: float, max_gap_s: float | None =
     )
 
 
+def _check_pairs(pairs: Velocities, name: str, tau_s: float, interval_s: float, gap_s: float) -> None:
+    if not len(pairs.dt):
+        raise InputError(
+            f"{name}: no track has two fixes about {max(tau_s, interval_s):g} s apart without a gap over {gap_s:g} s; "
+            f"the median fix interval is {interval_s:g} s: choose max_gap_s above it"
+        )
+
+
 def median_fix_interval_s(recording: Recording) -> float:
     """Median time between consecutive fixes of a track [s].
 
     Raises:
-        ValueError: no track has two fixes.
+        InputError: no track has two fixes.
     """
     intervals = np.concatenate([np.diff(track.times_s) for track in recording.tracks])
     if not len(intervals):
@@ -198,70 +166,44 @@ def median_fix_interval_s(recording: Recording) -> float:
 
 
 def default_max_gap_s(recording: Recording) -> float:
-    """A gap that ends a sighting [s]: 2 s, but three median fix intervals for a slow clock (ships, animals).
+    """Default of the gap that ends a sighting [s]: 2 s, or three median fix intervals of a slow clock (ships, animals).
 
     Raises:
-        ValueError: no track has two fixes.
+        InputError: no track has two fixes.
     """
     return max(2.0, 3.0 * median_fix_interval_s(recording))
 
 
-def _without_spikes(track: Track) -> Track:
-    steps = np.linalg.norm(np.diff(track.positions_m, axis=0), axis=1)
-    if len(steps) < 2:
-        return track
-    padded = np.pad(steps, _SPIKE_NEIGHBOURS, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _SPIKE_NEIGHBOURS + 1)
-    typical = np.median(windows, axis=1)
-    skipping = np.linalg.norm(track.positions_m[2:] - track.positions_m[:-2], axis=1)
-    shorter = np.minimum(steps[:-1], steps[1:])
-    usual_step = np.maximum(np.maximum(typical[:-1], typical[1:]), _FLOOR_STD)
-    spike = (shorter > _SPIKE_STEPS * usual_step) & (shorter > _SPIKE_DETOUR * skipping)
-    kept = np.concatenate([[True], ~spike, [True]])
-    return Track(track_id=track.track_id, times_s=track.times_s[kept], positions_m=track.positions_m[kept])
-
-
-def _velocities(tracks: list[Track], spacing_s: float, max_gap_s: float) -> _Velocities:
-    velocity, dt, turns, offset = [], [], [], 0
-    for track in tracks:
-        start, end = _pairs(track.times_s, spacing_s, max_gap_s)
-        span = track.times_s[end] - track.times_s[start]
-        velocity.append((track.positions_m[end] - track.positions_m[start]) / span[:, None])
-        dt.append(span)
-        pair_from = np.full(len(track.times_s), -1)  # the pair that starts at a fix
-        pair_from[start] = np.arange(len(start))
-        follower = pair_from[end]
-        chained = follower >= 0
-        turns.append(offset + np.stack([np.flatnonzero(chained), follower[chained]], axis=1))
-        offset += len(start)
-    return _Velocities(velocity=np.concatenate(velocity), dt=np.concatenate(dt), turns=np.concatenate(turns))
-
-
-def _pairs(times: np.ndarray, spacing_s: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Each fix with the one nearest to `spacing_s` later, 1/2 to 2 spacings away and no long gap between."""
-    last = len(times) - 1
-    start = np.arange(last)
-    wanted = times[:-1] + spacing_s
-    after = np.clip(np.searchsorted(times, wanted), start + 1, last)
-    before = np.maximum(after - 1, start + 1)
-    end = np.where(wanted - times[before] <= times[after] - wanted, before, after)
-    dt = times[end] - times[start]
-    long_gaps = np.concatenate([[0], np.cumsum(np.diff(times) > max_gap_s * (1 + 1e-6))])
-    good = (dt >= 0.5 * spacing_s) & (dt <= 2.0 * spacing_s) & (long_gaps[start] == long_gaps[end])
-    return start[good], end[good]
-
-
 def _usual(size: Float[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
+    """Select the pairs that are no outliers by their size (see the top of the module)."""
     return size <= _TRIM_FACTOR * np.percentile(size, _TRIM_PERCENTILE)
 
 
+def _walk_covariance(
+    pairs: Velocities, usual: Bool[np.ndarray, " pairs"], persistence: float, tau_s: float
+) -> Float[np.ndarray, "d d"]:
+    """W: mean of dy dy^T over pairs of fixes, each dy scaled from their span dt to one tau by (tau / dt)^(a/2).
+
+    The exponent a = 1 + log2(1 + max(persistence, 0)) of the growth of the second moment with time is 1 for a random
+    walk and 2 for straight motion. It matters only where the fixes are further apart than tau.
+    """
+    exponent = 1.0 + log2(1.0 + max(persistence, 0.0))
+    steps = pairs.velocity * (pairs.dt * (tau_s / pairs.dt) ** (exponent / 2.0))[:, None]
+    return _second_moment(steps[usual])
+
+
 def _turning(
-    pairs: _Velocities, usual: Bool[np.ndarray, " pairs"]
+    pairs: Velocities, usual: Bool[np.ndarray, " pairs"]
 ) -> tuple[float | None, Float[np.ndarray, "d d"] | None]:
-    """Persistence and white-noise acceleration intensity, from consecutive pairs."""
+    """Persistence and white-noise acceleration intensity q, from consecutive pairs; None without any.
+
+    For a velocity driven by white noise, two consecutive mean velocities over h1 and h2 differ by noise of covariance
+    q (h1 + h2) / 3, so q is the mean of 3 dv dv^T / (h1 + h2).
+    """
     first, second = pairs.turns[usual[pairs.turns].all(axis=1)].T
     if not len(first):
         return None, None
+    # About zero, not about their means: a common drift is persistent, too.
     v, w = pairs.velocity[first], pairs.velocity[second]
     power = np.sqrt(np.sum(v**2) * np.sum(w**2))
     persistence = float(np.sum(v * w) / power) if power > 0 else 0.0

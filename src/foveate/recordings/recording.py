@@ -1,4 +1,4 @@
-"""Recordings of real targets: read the CSV, cut it in time, sample it at control instants, pack its tracks.
+"""Recordings of real targets: cut in time, sample at control instants, pack tracks into few columns.
 
 A recording is a CSV file with the header `time_s,track_id,x_m,y_m[,z_m]`: one row, a *fix*, says where one
 target was at one time. Rows are sorted by time; the clock may be irregular, and targets come and go. All
@@ -6,7 +6,6 @@ positions are in the world frame [m], all times in seconds of the recording's ow
 """
 
 import heapq
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import floor, isfinite
 from typing import NamedTuple
@@ -36,7 +35,7 @@ class Recording:
     dimension: int
     tracks: tuple[Track, ...]
     sha256: str = ""
-    """Of the file, in hex; empty for one that was made in memory."""
+    """Digest of the file, in hex; empty for a recording made in memory."""
 
     @property
     def start_s(self) -> float:
@@ -56,26 +55,12 @@ class Recording:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sampled:
-    """A recording at control instants t_k = start + k tau, one column per track.
-
-    Where a track is absent, `positions_m` holds its nearest known position in time, never NaN.
-    `dropped` counts the tracks of the recording that are present at no instant and have no column.
-    """
-
-    times_s: Float[np.ndarray, " steps"]
-    present: Bool[np.ndarray, "steps n"]
-    positions_m: Float[np.ndarray, "steps n d"]
-    track_ids: tuple[str, ...]
-    dropped: int
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Slots:
-    """A sampled recording in few columns, each of which serves one track after another.
+    """Recording at control instants t_k = start + k tau, in few columns, each of which serves one track after another.
 
     `track_index` is the index into `track_ids` of the track that is present in a column, -1 where none is.
-    Where a column is empty, `positions_m` holds its last known position (its first one before that).
+    Where a column is empty, `positions_m` holds its last known position (its first one before that), never NaN.
+    `dropped` counts the tracks of the recording that are present at no instant and have no column.
     """
 
     times_s: Float[np.ndarray, " steps"]
@@ -87,7 +72,7 @@ class Slots:
 
 
 class _Piece(NamedTuple):
-    """One track from instant `first` on, for as many instants as its fixes span."""
+    """One track sampled from instant `first` on, for as many instants as its fixes span."""
 
     first: int
     present: np.ndarray
@@ -95,12 +80,12 @@ class _Piece(NamedTuple):
 
 
 def window(recording: Recording, start_s: float | None = None, end_s: float | None = None) -> Recording:
-    """The fixes with start_s <= time <= end_s; None leaves that side open.
+    """Cut a recording to the fixes with start_s <= time <= end_s; None leaves that side open.
 
     The result starts at its own first fix, which may be later than `start_s`.
 
     Raises:
-        ValueError: no fix is left; names the span of the recording.
+        InputError: no fix is left; names the span of the recording.
     """
     lower = -np.inf if start_s is None else start_s
     upper = np.inf if end_s is None else end_s
@@ -117,59 +102,47 @@ def window(recording: Recording, start_s: float | None = None, end_s: float | No
     return replace(recording, tracks=tuple(kept))
 
 
-def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Sampled:
-    """Positions of every track at the instants t_k = start + k tau, k = 0..K, t_K <= end.
+def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slots:
+    """Sample a recording at the instants t_k = start + k tau, k = 0..K, t_K <= end, and pack its tracks into columns.
 
-    Between two fixes at most `max_gap_s` apart the position is interpolated linearly, the track present.
-    It is absent before its first fix, after its last, and between fixes further apart than that, except where
-    an instant coincides with a fix (to within 1e-6 tau). A track with one fix is therefore present at one
-    instant or, far more often, at none: nothing says how long it was there.
+    Between two fixes at most `max_gap_s` apart the position is interpolated linearly, the track present. It is absent
+    before its first fix, after its last, and between fixes further apart than that, where its position is that of the
+    nearest fix; but present where an instant coincides with a fix (to within 1e-6 tau). A track with one fix is
+    therefore present at one instant or, far more often, at none: nothing says for how long it was there.
+
+    Columns are as few as possible, by greedy colouring of the tracks' intervals. A column serves a later track only
+    after the earlier one has left for good, with at least one absent instant between, so that the later one is seen as
+    a new target. A track keeps its column over inner gaps.
 
     Raises:
-        ValueError: tau or max_gap not positive and finite, a recording shorter than tau, or a result of more
-            than `MAX_CELLS` instants x tracks (`resample_slots` needs far less).
+        InputError: tau or max_gap not positive and finite, a recording shorter than tau, or a result of more than
+            `MAX_CELLS` instants x columns.
     """
     times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
-    _check_size(recording.name, len(times), len(tracks))
-    present = np.zeros((len(times), len(tracks)), dtype=bool)
-    positions = np.empty((len(times), len(tracks), recording.dimension))
-    for column, (track, piece) in enumerate(zip(tracks, pieces, strict=True)):
-        stop = piece.first + len(piece.present)
-        present[piece.first : stop, column] = piece.present
-        positions[: piece.first, column] = track.positions_m[0]
-        positions[piece.first : stop, column] = piece.positions_m
-        positions[stop:, column] = track.positions_m[-1]
-    return Sampled(
+    lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
+    column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
+    _check_size(recording.name, len(times), columns)
+    present = np.zeros((len(times), columns), dtype=bool)
+    index = np.full((len(times), columns), -1)
+    positions = np.zeros((len(times), columns, recording.dimension))
+    # In the order of their starts: each holds its last position to the end, until the next track of the column.
+    for i in sorted(range(len(pieces)), key=lambda i: lives[i][0]):
+        piece, column, (first, last) = pieces[i], column_of[i], lives[i]
+        life = slice(first - piece.first, last + 1 - piece.first)
+        if not present[:, column].any():
+            positions[:first, column] = piece.positions_m[life][0]
+        present[first : last + 1, column] = piece.present[life]
+        index[first : last + 1, column] = np.where(piece.present[life], i, -1)
+        positions[first : last + 1, column] = piece.positions_m[life]
+        positions[last + 1 :, column] = positions[last, column]
+    return Slots(
         times_s=times,
         present=present,
         positions_m=positions,
+        track_index=index,
         track_ids=tuple(track.track_id for track in tracks),
         dropped=len(recording.tracks) - len(tracks),
     )
-
-
-def slots(sampled: Sampled) -> Slots:
-    """Pack the tracks into as few columns as possible, by greedy colouring of their intervals.
-
-    A column serves a later track only after the earlier one has left for good, with at least one absent
-    instant between, so that the later one is seen as a new target. A track keeps its column over inner gaps.
-    """
-    columns = zip(sampled.present.T, sampled.positions_m.swapaxes(0, 1), strict=True)
-    pieces = [_Piece(0, present, positions) for present, positions in columns]
-    return _pack(
-        "a sampled recording", pieces, sampled.times_s, sampled.positions_m.shape[2], sampled.track_ids, sampled.dropped
-    )
-
-
-def resample_slots(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slots:
-    """`slots(resample(...))` without the array of all tracks: for recordings of thousands of short tracks.
-
-    Raises:
-        ValueError: as `resample`, but for more than `MAX_CELLS` instants x columns.
-    """
-    times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
-    ids = tuple(track.track_id for track in tracks)
-    return _pack(recording.name, pieces, times, recording.dimension, ids, len(recording.tracks) - len(tracks))
 
 
 def _sampled_tracks(
@@ -199,6 +172,7 @@ def _check_size(name: str, steps: int, columns: int) -> None:
 
 
 def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> _Piece:
+    """Sample one track at the instants that its fixes span."""
     fixes, last = track.times_s, len(track.times_s) - 1
     # What a clock of this magnitude can resolve: 3 * 0.1 is not 0.3, and Unix time is known to 0.2 us.
     tolerance = 1e-6 * tau_s + 4 * np.spacing(np.abs(times[[0, -1]]).max())
@@ -208,6 +182,7 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
     after = np.clip(np.searchsorted(fixes, instants, "right"), min(1, last), last)
     before = np.maximum(after - 1, 0)
     gap = fixes[after] - fixes[before]
+    # The fix before an instant is the one after it for a track of one fix: no gap to divide by.
     fraction = (instants - fixes[before]) / np.where(gap > 0, gap, 1.0)
     bridged = gap <= max_gap_s + tolerance
     on_fix = np.minimum(instants - fixes[before], fixes[after] - instants) <= tolerance
@@ -216,36 +191,8 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
     return _Piece(first, bridged | on_fix, start + fraction * (end - start))
 
 
-def _pack(
-    name: str, pieces: Sequence[_Piece], times: np.ndarray, dimension: int, ids: tuple[str, ...], dropped: int
-) -> Slots:
-    lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
-    column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
-    _check_size(name, len(times), columns)
-    present = np.zeros((len(times), columns), dtype=bool)
-    index = np.full((len(times), columns), -1)
-    positions = np.zeros((len(times), columns, dimension))
-    for i in sorted(range(len(pieces)), key=lambda i: lives[i][0]):
-        piece, column, (first, last) = pieces[i], column_of[i], lives[i]
-        life = slice(first - piece.first, last + 1 - piece.first)
-        if not present[:, column].any():
-            positions[:first, column] = piece.positions_m[life][0]
-        present[first : last + 1, column] = piece.present[life]
-        index[first : last + 1, column] = np.where(piece.present[life], i, -1)
-        positions[first : last + 1, column] = piece.positions_m[life]
-        positions[last + 1 :, column] = positions[last, column]  # until the next track takes the column
-    return Slots(
-        times_s=times,
-        present=present,
-        positions_m=positions,
-        track_index=index,
-        track_ids=ids,
-        dropped=dropped,
-    )
-
-
 def _colour(lives: list[tuple[int, int]]) -> tuple[list[int], int]:
-    """Column of each interval [first, last], and how many columns: the fewest, as starts are in order."""
+    """Assign a column to each interval [first, last]; columns, and their number: the fewest, as starts are in order."""
     column_of = [0] * len(lives)
     taken: list[tuple[int, int]] = []  # heap of (last instant, column)
     columns = 0

@@ -1,4 +1,4 @@
-"""Driving an agent through a recording of real targets that come and go, with the real filter and real visibility."""
+"""Replay recordings: drive an agent through real targets that come and go, with real filter and real visibility."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -11,14 +11,21 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import decision_time
-from foveate.evaluation.metrics import chi_square_band, longest_run, splits
+from foveate.evaluation.metrics import (
+    chi_square_band,
+    effective_count,
+    error_measures,
+    longest_run,
+    mean_or_zero,
+    nees,
+    squared_position_error,
+)
 from foveate.experiment.experiment import Experiment
 from foveate.io.provenance import provenance
 from foveate.io.toml import digest
 from foveate.models.gate import GATE, gate_limit
 from foveate.models.problem import Problem
-from foveate.recordings.motion import fit_statistics, median_fix_interval_s
-from foveate.recordings.recording import Recording, Slots, resample_slots
+from foveate.recordings.recording import Recording, Slots, resample
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import first_error
 from foveate.simulation.records import TRUE, Arrivals, Episode, Policy, Protocol, Trace, Truth
@@ -27,30 +34,21 @@ from foveate.simulation.rollout import rollout
 MAX_ROUNDING = 0.05
 """Positions must be resolved to this share of the sensor's standard deviation."""
 
-
 VERSION = 1
-"""Of the files of replays."""
-
-
-JUMP = 20.0
-"""A gap in the clock of the recording, in its median steps, that is worth a warning."""
-
-
-CONTRADICTION = 4.0
-"""A process noise off by more than this factor in variance is worth a warning."""
+"""Version of the files of replays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayRow:
-    """One method on one recording from one start.
+    """Measures of one method on one recording from one start.
 
-    `targets` counts tracks that were there for a step at least; `log_det_mean` [nat], `rmse_m` and `nees` are over all
-    targets at all steps, and apart over those of tracks that were measured at least once and of those that never
-    were, null where there are none. `nees_band` holds at least 95 % of such means if the filter's covariance is right:
-    the steps of a track, which hang together, count as one. `seen_fraction` is the share of tracks measured at least
-    once, `seen_time_fraction` of all target-steps with a measurement; `longest_unseen_s` the longest time that any
-    track went without one; `lost` counts tracks unseen at their end with an error above the depth of the view;
-    `rejected` measurements that the gate rejected.
+    `targets` counts tracks present for a step at least; `log_det_mean` [nat], `rmse_m` and `nees` are over all targets
+    at all steps, and apart over those of tracks that were measured at least once and of those that never were, null
+    where there are none. `nees_band` holds at least 95 % of such means if the filter's covariance is right: the steps
+    of a track, which are correlated, count as one. `seen_fraction` is the share of tracks measured at least once,
+    `seen_time_fraction` of all target-steps with a measurement; `longest_unseen_s` the longest time that any track
+    went without one; `lost` counts tracks unseen at their end with an error above the depth of the view; `rejected`
+    counts measurements that the gate rejected.
     """
 
     method: str
@@ -75,10 +73,9 @@ class ReplayRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """A recording made ready: what every method gets alike. `truth` (K+1, columns, n_y)."""
+    """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y)."""
 
     protocol: Protocol
-
     problem: Problem
     slots: Slots
     episode: Episode
@@ -100,25 +97,16 @@ def prepare_replay(
 
     The filter rejects measurements outside of the chi-square `gate`, of that probability (see `models.gate`).
 
-    Raises ValueError where the recording has another number of dimensions than the scenario.
+    Raises:
+        InputError: recording and scenario do not fit: dimensions, states without positions, a schedule, or positions
+            too far from the origin for float32.
     """
-    d, problem = scenario.dimension, scenario.problem()
-    if not problem.motion.begins_with_position:
-        raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
-    if problem.schedule is not None:
-        raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
-    if recording.dimension != d:
-        raise InputError(f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has {d}")
-    far = float(np.abs(np.stack(recording.extent)).max())
-    if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
-        raise InputError(
-            f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
-            f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
-        )
-    slots = resample_slots(recording, float(scenario.tau_s), float(max_gap_s))
+    problem = scenario.problem()
+    _check(scenario, problem, recording)
+    slots = resample(recording, float(scenario.tau_s), float(max_gap_s))
     truth = _states(problem, slots)
     steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
-    rng = np.random.default_rng([seed, 0x7265706C])
+    rng = np.random.default_rng([seed, 0x7265706C])  # apart from the streams that evaluations draw from a seed
     error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((steps + 1, n, n_y)), float))
     first_mean = jnp.asarray(truth, float) + error
     noise = rng.standard_normal((steps, n, problem.sensor.H.shape[0]))
@@ -145,8 +133,28 @@ def prepare_replay(
     )
 
 
+def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
+    """Raise InputError where a recording cannot be replayed in a scenario."""
+    if not problem.motion.begins_with_position:
+        raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
+    if problem.schedule is not None:
+        raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
+    if recording.dimension != scenario.dimension:
+        raise InputError(
+            f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has "
+            f"{scenario.dimension}"
+        )
+    # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
+    far = float(np.abs(np.stack(recording.extent)).max())
+    if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
+        raise InputError(
+            f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
+            f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
+        )
+
+
 def _states(problem: Problem, slots: Slots) -> np.ndarray:
-    """Recorded positions as states: velocities (and their derivatives) by differences between instants."""
+    """Make states of recorded positions: velocities (and their derivatives) by differences between instants."""
     d, n_y = problem.agent.space.dimension, problem.motion.state_size
     blocks = [slots.positions_m]
     same = slots.track_index[1:] == slots.track_index[:-1]
@@ -166,7 +174,7 @@ def _run(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol,
 
 
 def replay(ready: Replay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
-    """Drive one method through the recording."""
+    """Drive one method through the recording; its row, and the trace as numpy arrays."""
     trace = _run(ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed))
     trace = jax.tree.map(np.asarray, trace)
     step_time = decision_time(ready.problem, policy, ready.episode)
@@ -175,40 +183,35 @@ def replay(ready: Replay, method: str, policy: Policy) -> tuple[ReplayRow, Trace
 
 def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRow:
     index, tau = ready.slots.track_index, float(ready.problem.tau)
-    # A step counts for a track that was there before and after it: at its first instant there is no belief to update.
-    counts = (index[1:] >= 0) & (index[1:] == index[:-1])
-    visible = np.asarray(trace.visible) & counts
+    # A step counts for a track present before and after it: at its first instant there is no belief to update.
+    counted = (index[1:] >= 0) & (index[1:] == index[:-1])
+    visible = np.asarray(trace.visible) & counted
     error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
-    square = ((error @ np.asarray(ready.problem.motion.Z, float).T) ** 2).sum(axis=-1)
-    nees = np.einsum("kni,knij,knj->kn", error, np.asarray(trace.information, float)[1:], error)
-    lost, longest, lengths = 0, 0.0, []
-    of_seen = np.zeros_like(counts)
-    tracks = np.unique(index[1:][counts])
-    for track in tracks:
-        here = counts & (index[1:] == track)
-        lengths.append(here.sum())
-        column = int(np.flatnonzero(here.any(axis=0))[0])
-        steps = np.flatnonzero(here[:, column])
-        looks = visible[steps, column]
-        of_seen |= here & looks.any()
+    square = squared_position_error(error, np.asarray(ready.problem.motion.Z, float))
+    lost, longest, lengths, seen = 0, 0.0, [], []
+    of_seen = np.zeros_like(counted)
+    for track in np.unique(index[1:][counted]):
+        steps, columns = np.nonzero(counted & (index[1:] == track))
+        looks = visible[steps, columns]
+        lengths.append(len(steps))
+        seen.append(looks.any())
+        of_seen[steps, columns] = seen[-1]
         longest = max(longest, float(longest_run(~looks[:, None], np.full(len(looks), tau))[0]))
-        lost += bool(not looks[-1] and np.sqrt(square[steps[-1], column]) > ready.depth_m)
-    total, seen = max(1, int(counts.sum())), len(np.unique(index[1:][of_seen]))
-    # A mean over tracks that weigh as long as they are varies as one over so many that weigh the same.
-    alike = total**2 / max(1, int(np.square(lengths).sum()))
+        lost += bool(not looks[-1] and np.sqrt(square[steps[-1], columns[-1]]) > ready.depth_m)
     return ReplayRow(
         method=method,
         seed=ready.seed,
         agent_start=ready.agent_start,
-        targets=len(tracks),
-        log_det_mean=float(np.asarray(trace.log_det, float)[counts].sum() / total),
-        seen_fraction=seen / max(1, len(tracks)),
-        seen_time_fraction=float(visible.sum() / total),
+        targets=len(lengths),
+        log_det_mean=mean_or_zero(np.asarray(trace.log_det, float)[counted]),
+        seen_fraction=mean_or_zero(np.array(seen, bool)),
+        seen_time_fraction=mean_or_zero(visible[counted]),
         longest_unseen_s=longest,
-        rmse_m=float(np.sqrt(square[counts].sum() / total)),
-        nees=float(nees[counts].sum() / total),
-        nees_band=chi_square_band(ready.truth.shape[-1], alike),
-        **splits(square[counts], nees[counts], of_seen[counts]),
+        # The steps of a track are correlated: tracks are the samples, weighted by their lengths.
+        nees_band=chi_square_band(ready.truth.shape[-1], effective_count(np.array(lengths))),
+        **error_measures(
+            square[counted], nees(error, np.asarray(trace.information, float)[1:])[counted], of_seen[counted]
+        ),
         lost=lost,
         rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
         step_time_s=step_time,
@@ -216,7 +219,7 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
 
 
 def default_agent_start(recording: Recording, scenario: Scenario) -> list[float]:
-    """The middle of the recording's extent, heading along x."""
+    """Start in the middle of the recording's extent, heading along x."""
     lower, upper = recording.extent
     space = scenario.agent.agent().space
     middle = jnp.asarray((lower + upper) / 2, float)
@@ -224,7 +227,7 @@ def default_agent_start(recording: Recording, scenario: Scenario) -> list[float]
 
 
 def random_agent_starts(recording: Recording, scenario: Scenario, count: int, seed: int) -> list[list[float]]:
-    """Starts uniform in the recording's extent, with any heading."""
+    """Draw starts uniform in the recording's extent, with any heading."""
     lower, upper = recording.extent
     space, rng = scenario.agent.agent().space, np.random.default_rng([seed, count])
     return [
@@ -235,46 +238,9 @@ def random_agent_starts(recording: Recording, scenario: Scenario, count: int, se
     ]
 
 
-def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap_s: float) -> list[str]:
-    """What a user should know before trusting the result: each a line."""
-    found = []
-    most, trained = int(slots.present.sum(axis=1).max()), scenario.scenes.targets_max
-    if most > trained:
-        found.append(f"up to {most} targets at once: the run's scenario goes up to {trained}")
-    if slots.dropped:
-        found.append(f"{slots.dropped} tracks fall between the control instants and are left out")
-    times = np.unique(np.concatenate([track.times_s for track in recording.tracks]))
-    gaps = np.diff(times)
-    if len(gaps) and gaps.max() > max(max_gap_s, JUMP * np.median(gaps)):
-        first = int(np.argmax(gaps))
-        found.append(
-            f"nothing is recorded between {times[first]:.10g} s and {times[first + 1]:.10g} s: all targets leave and "
-            "appear anew; if the clock jumped, cut the recording there with --start or --end"
-        )
-    interval = median_fix_interval_s(recording) if any(len(track.times_s) > 1 for track in recording.tracks) else 0.0
-    if interval > max_gap_s:
-        found.append(
-            f"fixes are {interval:g} s apart, more than --max-gap {max_gap_s:g} s: targets are absent most of the time"
-        )
-    motion = scenario.problem().motion
-    if motion.state_size == scenario.dimension:
-        try:
-            statistics = fit_statistics(recording, float(scenario.tau_s), float(max_gap_s))
-        except ValueError:  # too few pairs of fixes to judge W by
-            return found
-        walk = float(np.trace(statistics.walk_covariance_m2))
-        claimed = float(jnp.trace(motion.W))
-        if not walk / CONTRADICTION <= claimed <= walk * CONTRADICTION:
-            found.append(
-                f"targets move {walk**0.5:.2g} m (rms) per step, the scenario's W claims {claimed**0.5:.2g} m: "
-                "beliefs will be too sure or too vague; fit a scenario to this recording"
-            )
-    return found
-
-
 def result(
     rows: Sequence[ReplayRow], experiment: Experiment, recording: Recording, facts: dict[str, Any]
 ) -> dict[str, Any]:
-    """The replay as JSON, with what it was made with."""
+    """Content of a replay's JSON file: the rows, and what they were made with."""
     made = {"experiment": digest(experiment), "recording_sha256": recording.sha256}
     return {**provenance(), **made, **facts, "rows": [asdict(row) for row in rows]}

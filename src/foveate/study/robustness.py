@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from foveate.evaluation.bounds import lower_bounds, normalised_score
-from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.evaluation.metrics import measures
 from foveate.evaluation.statistics import mean_interval, paired
 from foveate.experiment.experiment import Experiment
@@ -161,7 +161,7 @@ def _scores(method: Method, bench: Bench, protocol: str, policy: Policy | None) 
         rows = method.rows(bench, protocol, policy, lambda done: None)
         return [row.score for row in rows if row.score is not None], [row.seen_fraction for row in rows]
     world, acting = bench.suite, method.policy(bench.world, policy)
-    trace, truth = simulate(world, acting, PROTOCOLS[protocol], len(world.scenes)), np.asarray(world.truth.state)
+    trace, truth = evaluate_traces(world, acting, PROTOCOLS[protocol], len(world.scenes)), np.asarray(world.truth.state)
     found = [
         measures(world.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
         for i, scene in enumerate(world.scenes)

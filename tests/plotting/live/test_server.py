@@ -27,8 +27,7 @@ from websockets.sync.client import connect
 from foveate.cli.main import main
 from foveate.geometry.space import SPACES
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
-from foveate.plotting.live import chart as view_chart
-from foveate.plotting.live import scene as view_stage
+from foveate.plotting.live import chart, player, scene
 from foveate.plotting.live import server as view
 from foveate.scenario.scenes import Scene, write_scenes
 
@@ -96,47 +95,47 @@ def last_of(played, name, prop):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_page_holds_the_episode(tmp_path, dimension):
     """At its end: the agent where it is, truths and estimates, and 95 % bodies whose axes come from numpy's svd."""
-    film = made_up(dimension)
-    view.record(film, tmp_path / "page.html")
+    data = made_up(dimension)
+    view.record(data, tmp_path / "page.html")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
     played = messages(tmp_path / "page.html")
-    assert played["durationSeconds"] == pytest.approx(film.times_s[-1] + 1.0)
+    assert played["durationSeconds"] == pytest.approx(data.times_s[-1] + 1.0)
     times = [at for at, _ in played["messages"]]
     assert times == sorted(times)
-    d = film.space.dimension
-    here = film.pose[-1]
+    d = data.space.dimension
+    here = data.pose[-1]
     place = here[:2] if d == 2 else here[:3, 3]
     np.testing.assert_allclose(last_of(played, "/agent", "position")[:d], place, atol=1e-5)
     heading = Rotation.from_quat(last_of(played, "/agent", "wxyz"), scalar_first=True).apply([1, 0, 0])
     expected = [np.cos(here[2]), np.sin(here[2]), 0] if d == 2 else here[:3, 0]
     np.testing.assert_allclose(heading, expected, atol=1e-6)
-    for i in range(film.targets):
-        np.testing.assert_allclose(last_of(played, f"/target/{i}", "position")[:d], film.truth[-1, i], atol=1e-5)
-        np.testing.assert_allclose(last_of(played, f"/belief/{i}", "position")[:d], film.estimate[-1, i], atol=1e-5)
+    for i in range(data.targets):
+        np.testing.assert_allclose(last_of(played, f"/target/{i}", "position")[:d], data.truth[-1, i], atol=1e-5)
+        np.testing.assert_allclose(last_of(played, f"/belief/{i}", "position")[:d], data.estimate[-1, i], atol=1e-5)
         assert tuple(last_of(played, f"/belief/{i}", "color")) == GREEN
         turn = Rotation.from_quat(last_of(played, f"/belief/{i}", "wxyz"), scalar_first=True).as_matrix()
         scale = np.array(last_of(played, f"/belief/{i}", "scale"))
         shape = (turn @ np.diag(scale**2) @ turn.T)[:d, :d]
-        np.testing.assert_allclose(shape, chi2.ppf(0.95, d) * film.covariance[-1, i], rtol=1e-6, atol=1e-9)
-    assert "score so far 7.00 nat per target" in last_of(played, "/board/facts", "text")
+        np.testing.assert_allclose(shape, chi2.ppf(0.95, d) * data.covariance[-1, i], rtol=1e-6, atol=1e-9)
+    assert "score so far 7.00 nat per target" in last_of(played, "/chart/facts", "text")
 
 
 def test_facts_and_curves():
-    film = made_up(n=2, present=np.array([[True, True]] * 3 + [[True, False]] * 2))
-    values = view_chart.curves(film)
+    data = made_up(n=2, present=np.array([[True, True]] * 3 + [[True, False]] * 2))
+    values = chart.curves(data)
     np.testing.assert_allclose(values[:, 0], [-0.5, 6.5, 6.0, 6.0])  # the second one has gone
     np.testing.assert_allclose(values[:, 2], [0.0, 7.0, np.nan, np.nan])
-    assert view_chart.curves(made_up(n=21)).shape == (4, 1)
-    facts = view_chart.facts(film, 3 * SUBSTEPS)
+    assert chart.curves(made_up(n=21)).shape == (4, 1)
+    facts = chart.facts(data, 3 * SUBSTEPS)
     assert facts["score so far"] == "6.00 nat per target"
     assert (facts["time"], facts["step"], facts["seen now"]) == ("1.5 of 2.0 s", "3 of 4", "1 of 1")
     assert "ever seen" not in facts  # a column may serve several, one after the other
-    assert view_chart.facts(made_up(), 2 * SUBSTEPS)["ever seen"] == "3 of 3"
+    assert chart.facts(made_up(), 2 * SUBSTEPS)["ever seen"] == "3 of 3"
     assert facts["of the time"] == "60%"  # 3 of the 5 target-steps so far
-    assert view_chart.facts(film, 0)["score so far"] == "-"
-    assert view.moment_at(film, 0.75) == 1.5 * SUBSTEPS
-    assert view.usual_speed(film) == 1.0
-    assert view.usual_speed(made_up(times_s=100.0 * np.arange(5))) == 10.0
+    assert chart.facts(data, 0)["score so far"] == "-"
+    assert data.moment_at(0.75) == 1.5 * SUBSTEPS
+    assert player.usual_speed(data) == 1.0
+    assert player.usual_speed(made_up(times_s=100.0 * np.arange(5))) == 10.0
 
 
 def test_meshes():
@@ -146,13 +145,13 @@ def test_meshes():
         a, b, c = mesh[0][mesh[1]].swapaxes(0, 1)
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum()
 
-    assert area(view_stage.view_mesh(made_up())) == pytest.approx(6.0)
-    assert area(view_stage.view_mesh(made_up(3))) == pytest.approx(4.0)
-    assert area(view_stage.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
-    assert area(view_stage.ball()) == pytest.approx(4 * np.pi, rel=0.02)
+    assert area(scene.view_mesh(made_up())) == pytest.approx(6.0)
+    assert area(scene.view_mesh(made_up(3))) == pytest.approx(4.0)
+    assert area(scene.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
+    assert area(scene.ball()) == pytest.approx(4 * np.pi, rel=0.02)
     angle = np.linspace(-2.0, 2.0, 65)  # a sector of more than half a turn, from its apex
     sector = np.concatenate([[[0, 0]], np.column_stack([np.cos(angle), np.sin(angle)]), [[0, 0]]])
-    assert area(view_stage.fan(sector)) == pytest.approx(2.0, rel=1e-3)
+    assert area(scene.fan(sector)) == pytest.approx(2.0, rel=1e-3)
 
 
 def failure(capsys, *arguments):
@@ -280,35 +279,35 @@ def test_a_live_page_follows_its_panel(browser):
         asked.append((scene, method))
         return made_up(steps=400, n=2, title=f"{method} on {scene} {HOSTILE}")
 
-    programme = view.Programme(scenes=("one", "two"), methods=("nearest", "still"), film=make)
+    source = player.EpisodeSource(scenes=("one", "two"), methods=("nearest", "still"), episode=make)
     with view._server(0) as server:
         with pytest.raises(OSError, match=r"rejected|unreachable|timed out"):  # at no other address of this machine
             socket.create_connection(("127.0.0.2", server.get_port()), timeout=5)
-        player = view.Player(server, programme)
-        player.tick(0.0)
+        panel = player.Player(server, source)
+        panel.tick(0.0)
         assert asked == [("one", "nearest")]
-        film = player._films["one", "nearest"]
+        data = panel._episodes["one", "nearest"]
         browser.ask("Page.navigate", url=f"http://127.0.0.1:{server.get_port()}")
         text = "document.body.innerText"
         wait_for(lambda: "score so far" in (browser.run(text) or ""))
-        player.tick(10.0)
+        panel.tick(10.0)
         wait_for(lambda: "6.50 nat per target" in browser.run(text))
         assert f"nearest on one {HOSTILE} · 2 targets" in browser.run(text), "as it is"
-        before = player._moment
+        before = panel._moment
         assert before > 10 * SUBSTEPS
         browser.run("[...document.querySelectorAll('.mantine-Checkbox-input')].at(-1).click()")
-        wait_for(lambda: player._play.value is False)
-        player.tick(5.0)
-        assert player._moment == before
+        wait_for(lambda: panel._play.value is False)
+        panel.tick(5.0)
+        assert panel._moment == before
         browser.run("[...document.querySelectorAll('button')].find(b => b.innerText == 'back').click()")
-        wait_for(lambda: view.moment_at(film, player._time_s) < before)
-        player.tick(1.0)
-        assert player._moment == before - before % SUBSTEPS - SUBSTEPS
+        wait_for(lambda: data.moment_at(panel._time_s) < before)
+        panel.tick(1.0)
+        assert panel._moment == before - before % SUBSTEPS - SUBSTEPS
         browser.run("document.querySelector('input[role=combobox][value=nearest]').click()")
         choose = "[...document.querySelectorAll('[role=option]')].find(each => each.innerText == 'still').click() ?? 1"
         wait_for(lambda: browser.run(choose))
-        wait_for(lambda: player._method.value == "still")
-        player.tick(0.0)
+        wait_for(lambda: panel._method.value == "still")
+        panel.tick(0.0)
         assert asked[-1] == ("one", "still")
         wait_for(lambda: "still on one" in browser.run(text))
         wait_for(lambda: pixels(browser.picture(), VERMILLION) > 10)
