@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.bench.timing import Metric, in_turn, rate_metric
-from foveate.evaluation.evaluate import prepare, simulate
+from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.experiment import Experiment
 from foveate.models.problem import first_information
 from foveate.planning.information import Future
@@ -37,7 +37,9 @@ def simulation(experiment: Experiment, repeats: int) -> list[Metric]:
     play = jax.jit(jax.vmap(lambda e, k: rollout(problem, policy, e, SURROGATE, k).log_det))
     suite = prepare(problem, settings, own_suite(settings, problem), episodes=4)
     evaluation_steps = sum(len(scene.targets) * scene.horizon for scene in suite.scenes) * suite.episodes_per_scene
-    seconds = in_turn([lambda: play(episodes, keys), lambda: simulate(suite, policy, PROTOCOLS["true"])], repeats)
+    seconds = in_turn(
+        [lambda: play(episodes, keys), lambda: evaluate_traces(suite, policy, PROTOCOLS["true"])], repeats
+    )
     return [
         rate_metric("rollout_target_steps_per_s", rollout_steps, seconds[:, 0]),
         rate_metric("evaluation_target_steps_per_s", evaluation_steps, seconds[:, 1]),
