@@ -1,8 +1,8 @@
-"""The whole way once: train the paper's policy, evaluate it on the paper's test distribution, draw it.
+"""Train the paper's policy, evaluate it on the paper's test distribution, and draw it.
 
     make demo            (or: python examples/demo.py)
 
-Leaves config, checkpoint, metrics, table and pictures in runs/demo/.
+Writes config, checkpoint, metrics, table and pictures to runs/demo/.
 """
 
 import os
@@ -10,15 +10,15 @@ import shutil
 import time
 from pathlib import Path
 
-# Every core is a device of its own: a training's programs are too small for two cores to share one. JAX reads this
-# when it is imported.
+# Every core is a separate device: the programs of a training are too small to run on two cores at once. JAX reads this
+# on import.
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", str(os.cpu_count() or 1))
 
 import foveate
 
 OUT = Path("runs/demo")
 SHOWN = ("biased-3-00", "biased-5-00", "biased-7-00")
-"""Scenes of the paper's table that are drawn."""
+"""Scenes of the paper's table to draw."""
 PAPER = {
     ("unbiased", 3): ("4.57 ± 2.13", "6.71 ± 1.47"),
     ("unbiased", 5): ("3.65 ± 1.54", "6.56 ± 0.55"),
@@ -27,11 +27,11 @@ PAPER = {
     ("biased", 5): ("3.27 ± 1.30", "5.96 ± 0.96"),
     ("biased", 7): ("2.01 ± 1.67", "4.92 ± 1.07"),
 }
-"""The paper's own table: PPO and the model-based method, mean and standard deviation."""
+"""Table of the paper: PPO and the model-based method, mean and standard deviation."""
 
 
 def main(epochs: int | None = None) -> None:
-    """Train, evaluate, draw, and print how long it took; `epochs` shortens the training."""
+    """Train, evaluate, draw, and print the time it took; `epochs` shortens the training."""
     began = time.perf_counter()
     shutil.rmtree(OUT, ignore_errors=True)
     policy = foveate.train("paper", epochs=epochs, out=OUT)
@@ -41,8 +41,8 @@ def main(epochs: int | None = None) -> None:
     found.to_json(OUT / "table1.json")
     print_table(found)
 
-    # The surrogate score is what this policy was trained for, as in the paper. Scenes of the same id have the same
-    # noise as in the table.
+    # This policy was trained for the surrogate score, as in the paper. A scene's noise depends on its id, so it is the
+    # same as in the table.
     scenes = [scene for scene in found.scenes if scene.id in SHOWN]
     suite = foveate.prepare(policy.problem, policy.scenario.scenes, scenes)
     episodes = foveate.suite_data(suite, policy.network, "surrogate", "paper")
@@ -54,7 +54,7 @@ def main(epochs: int | None = None) -> None:
 
 
 def print_table(found: foveate.Evaluation) -> None:
-    """Print our two scores beside the paper's."""
+    """Print our two scores beside those of the paper."""
     cells = {(cell.protocol, cell.motion, cell.targets): cell for cell in found.summary}
     print(
         "\nScore per target [nat], 30 scenes a cell: the paper's surrogate score, and the true one of a Kalman filter"

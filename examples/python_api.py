@@ -1,9 +1,9 @@
 # pyright: strict
-"""foveate from Python: a trained policy, a belief, a command, a tracker's loop, an evaluation.
+"""Use foveate from Python: a trained policy, a belief, a command, a loop with a tracker, an evaluation.
 
     python examples/python_api.py [RUN|PRESET]
 
-Without a name it takes the trained policy of the preset `true-view`, which comes with the package.
+The default is the trained policy of the preset `true-view`, which is in the package.
 """
 
 import sys
@@ -14,18 +14,18 @@ import foveate
 
 
 def main(run: str = "true-view") -> foveate.Evaluation:
-    """Each thing once, in the plane."""
+    """Show each part of the API once, in the plane."""
     policy = foveate.load(run)
     print(policy)
 
-    # One decision. Beliefs may come from anywhere; a decision is made on them as they will be a control period ahead.
+    # One decision. Beliefs may come from any source; the policy expects them predicted by one control period.
     now = foveate.Belief(mean=[[3.0, 1.0], [-2.0, 4.0]], covariance=[0.2 * np.eye(2), 1.5 * np.eye(2)])
     pose = np.array([0.0, 0.0, np.pi / 2])
     command = policy(policy.predict(now), pose)
     print(", ".join(f"{axis} {value:+.2f}" for axis, value in zip(policy.axes, command, strict=True)), "[m/s, rad/s]")
 
-    # A loop, with a tracker that keeps the beliefs: predict, decide, move, detect, update. Here nobody is ever detected
-    # but one who stands still, within 2 m.
+    # A loop with a tracker that maintains the beliefs: predict, decide, move, detect, update. Here the only target
+    # stands still and is detected within 2 m.
     target, tracker, tau = np.array([4.0, 2.0]), foveate.Tracker(policy.scenario), policy.scenario.tau_s
     tracker.add("somebody", [3.0, 3.0])
     for _ in range(12):
@@ -36,7 +36,7 @@ def main(run: str = "true-view") -> foveate.Evaluation:
         tracker.update(pose, {"somebody": target} if near else {})
     print(f"the tracker has {tracker.belief()}")
 
-    # How well it does on the paper's scenes. method=["policy", "uncertain"] puts one made by hand beside it.
+    # Scores on the paper's scenes. method=["policy", "uncertain"] adds a heuristic for comparison.
     found = foveate.evaluate(policy, "table1", protocol="true")
     print(found)
     hardest = min(found.summary, key=lambda cell: cell.mean)

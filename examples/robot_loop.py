@@ -1,9 +1,9 @@
-"""The loop of a robot at a fixed rate: predict, decide, move, detect, update.
+"""Control loop of a robot at a fixed rate: predict, decide, move, detect, update.
 
     python examples/robot_loop.py best --steps 60 --speed 20
 
-`Robot` is a simulated one: put your own driver and detector in its place. What it needs to know of a target is an id
-and a position in its own frame, whenever it sees one.
+`Robot` is simulated: replace it by your own driver and detector. The detector has to give an id and a position in the
+robot's frame for every target that it sees.
 """
 
 import argparse
@@ -16,11 +16,11 @@ import numpy as np
 import foveate
 
 MAX_TARGETS = 16
-"""Beliefs are padded to this number of targets, so that the decision is compiled once."""
+"""Beliefs are padded to this number of targets, so that the policy is compiled once."""
 
 
 class Robot:
-    """A stand-in: moves exactly as commanded among targets that wander, and sees those in its view, with noise."""
+    """Simulated robot: moves exactly as commanded among wandering targets, and measures those in view, with noise."""
 
     def __init__(self, problem: foveate.Problem, seed: int) -> None:
         self.problem, self.rng = problem, np.random.default_rng(seed)
@@ -32,22 +32,22 @@ class Robot:
         self._sees = jax.jit(lambda pose, points: problem.sensor.view.contains(space.to_body(pose, points)))
         self._to_body, self._to_world = jax.jit(space.to_body), jax.jit(space.to_world)
         self._move(self.pose, np.zeros(len(agent.axes)))
-        self.detect()  # all is compiled before the clock runs
+        self.detect()  # compiles everything before the clock starts
 
     def rough_positions(self) -> dict[str, np.ndarray]:
-        """Positions of the targets as somebody reported them, some metres off."""
+        """Return rough prior positions of the targets, about a metre off."""
         position = self.state @ np.asarray(self.problem.motion.Z).T
         return {f"target {i}": p for i, p in enumerate(position + self.rng.normal(0, 1, position.shape))}
 
     def move(self, command: np.ndarray) -> None:
-        """Carry out a command [m/s, rad/s] for one period, while the targets move too."""
+        """Execute a command [m/s, rad/s] for one period, while the targets move too."""
         motion = self.problem.motion
         self.pose = np.asarray(self._move(self.pose, command))
         push = self.rng.multivariate_normal(np.zeros(len(motion.W)), motion.W, len(self.state))
         self.state = self.state @ np.asarray(motion.A).T + push
 
     def detect(self) -> dict[str, np.ndarray]:
-        """Measured positions in the body frame, of the targets in view."""
+        """Return the measured positions, in the body frame, of the targets in view."""
         position = self.state @ np.asarray(self.problem.motion.Z).T
         noisy = position + self.rng.multivariate_normal(
             np.zeros(position.shape[1]), self.problem.sensor.V, len(position)
@@ -56,16 +56,16 @@ class Robot:
         return {f"target {i}": points_body[i] for i in np.flatnonzero(seen)}
 
     def in_world(self, point_body: np.ndarray) -> np.ndarray:
-        """A point of the robot's frame in the world [m], by its pose (yours comes from its localisation)."""
+        """Transform a point from the robot's frame to the world [m] by its pose (yours comes from localisation)."""
         return np.asarray(self._to_world(self.pose, point_body))
 
 
 def main() -> None:
-    """Drive for a number of steps; print at each what was seen and how well the targets are known."""
+    """Drive for a number of steps; print the detections and the largest position uncertainty at each."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("run", help="run folder of foveate train, or a preset")
     options.add_argument("--steps", type=int, default=60)
-    options.add_argument("--speed", type=float, default=1.0, help="of the clock: 20 runs 20 times as fast")
+    options.add_argument("--speed", type=float, default=1.0, help="speed of the clock: 20 runs 20 times as fast")
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
 
@@ -75,7 +75,7 @@ def main() -> None:
     for name, position in robot.rough_positions().items():
         tracker.add(name, position)
     robot.in_world(np.zeros(problem.agent.space.dimension))
-    policy(tracker.belief().padded(MAX_TARGETS), robot.pose)  # compiled before the robot moves
+    policy(tracker.belief().padded(MAX_TARGETS), robot.pose)  # compiles before the robot moves
 
     Z = np.asarray(problem.motion.Z)
     period, late = float(problem.tau) / given.speed, 0

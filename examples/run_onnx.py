@@ -1,10 +1,10 @@
-"""Decide with an exported policy, with numpy and onnxruntime only:
+"""Run an exported policy with NumPy and onnxruntime only:
 
     foveate export runs/first policy.onnx
     python examples/run_onnx.py policy.onnx
 
-`OnnxPolicy` is what to copy onto a robot: it turns beliefs, means and covariances in the world frame, into the inputs
-of the network, and gives the command.
+Copy `OnnxPolicy` to your robot: it converts beliefs (means and covariances in the world frame) into the inputs of the
+network, and returns the command.
 """
 
 import json
@@ -16,11 +16,11 @@ import onnxruntime
 
 
 class OnnxPolicy:
-    """A policy from a file of `foveate export`."""
+    """Policy from a file of `foveate export`."""
 
     def __init__(self, path: str) -> None:
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1  # so small a network is slower on several
+        options.intra_op_num_threads = 1  # a network this small is slower on several threads
         self.session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
         self.facts = self.session.get_modelmeta().custom_metadata_map
         if (self.facts.get("format"), self.facts.get("format_version")) != ("foveate-policy", "1"):
@@ -29,7 +29,7 @@ class OnnxPolicy:
         self.output, self.model = json.loads(self.facts["output"]), json.loads(self.facts["model"])
 
     def predict(self, mean, covariance, known_input=None, step=0):
-        """Beliefs at the end of the coming step: A mean + B xi, A P A^T + W."""
+        """Predict the beliefs at the end of the coming step: A mean + B xi, A P A^T + W."""
         now = self.model["steps"][step % len(self.model["steps"])]
         A, B, W = (np.array(now[name]) for name in ("A", "B", "W"))
         if known_input is None:
@@ -37,10 +37,10 @@ class OnnxPolicy:
         return mean @ A.T + known_input @ B.T, A @ covariance @ A.T + W, known_input
 
     def __call__(self, pose, mean, covariance, known_input=None, steps_left=None, step=0):
-        """The command by axis [m/s, rad/s] at a pose, for beliefs as they are NOW, shapes (n, n_y) and (n, n_y, n_y).
+        """Return the command by axis [m/s, rad/s] at a pose, for CURRENT beliefs, shapes (n, n_y) and (n, n_y, n_y).
 
-        The pose is [x, y, yaw], or in space the 4 x 4 transform from body to world. n may be 0. Without an
-        end to count `steps_left` to, the policy is always in the middle of an episode.
+        The pose is [x, y, yaw], or in space the 4 x 4 transform from body to world. n may be 0. Without `steps_left`,
+        for a task without an end, the policy acts as in the middle of an episode.
         """
         mean, covariance, known_input = self.predict(mean, covariance, known_input, step)
         inputs = {
@@ -56,7 +56,7 @@ class OnnxPolicy:
 
 
 def main(path: str) -> None:
-    """Three made-up targets around the origin, and the time that a decision takes."""
+    """Decide for three example targets around the origin, and measure the decision time."""
     policy = OnnxPolicy(path)
     size, d = len(policy.model["Z"][0]), len(policy.model["Z"])
     mean = np.zeros((3, size))

@@ -1,8 +1,8 @@
-"""Build the documentation: `make docs`. The pages of the repository, the generated ones, and nothing from the network.
+"""Build the documentation (`make docs`) from the repository's pages and the generated ones, without network access.
 
-The pages are put together in a temporary folder, laid out as in the repository, so that their links hold as they are;
-Zensical makes HTML of them and rejects broken links; formulas become MathML, since no script that draws them may be
-loaded; and the result is looked through once more. `site/` is replaced only when all of that went well.
+The pages are collected in a temporary folder, laid out as in the repository, so that their links stay valid. Zensical
+converts them to HTML and rejects broken links. Formulas become MathML, since no script may be loaded to draw them. The
+result is checked once more, and `site/` is replaced only if everything succeeded.
 """
 
 import shutil
@@ -22,7 +22,7 @@ GENERATED = {"docs/configuration.md": configuration_page.page, "docs/commands.md
 
 
 def build(out: Path) -> int:
-    """Build the site into `out`; the number of pages. Raises ValueError that names what is broken."""
+    """Build the site into `out` and return the number of pages. Raises ValueError that names what is broken."""
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         (work / "src").symlink_to(ROOT / "src")

@@ -1,4 +1,4 @@
-"""The page of every command and option, from the help that the command line itself prints."""
+"""Generate the page of all commands and options from the `--help` of the command line."""
 
 import contextlib
 import io
@@ -12,21 +12,21 @@ from foveate.cli.main import COMMANDS, main
 
 INTRODUCTION = """# Commands
 
-`foveate COMMAND --help` says the same in a terminal. Exit status: 0 done, 1 ran but a check failed, 2 wrong input (one
-line on stderr), 130 interrupted. Where a command takes `RUN|PRESET`, the name of a preset stands for the trained policy
-that the package brings.
+All commands and options, as in `foveate COMMAND --help`. Exit status: 0 success, 1 ran but a check failed, 2 invalid
+input (one line on stderr), 130 interrupted. For a command that takes `RUN|PRESET`, a preset name means its trained
+policy in the package.
 """
 PANEL = re.compile(r"^ \S.*\n -+\n((?:  .*\n)+)", re.MULTILINE)
 DEFAULT = re.compile(r" \((?:default: ([^()]*)|required)\)$")
 
 
 def page() -> str:
-    """The whole page, in Markdown."""
+    """Return the whole page as Markdown."""
     return "\n\n".join([INTRODUCTION, *(_section(name) for name in COMMANDS)]) + "\n"
 
 
 def help_of(command: str) -> str:
-    """What `foveate COMMAND --help` prints, in lines so wide that no word of an explanation is broken off."""
+    """Return the output of `foveate COMMAND --help`, in lines wide enough that no explanation is wrapped."""
     shown = io.StringIO()
     with patch.dict(os.environ, COLUMNS="500"), contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
         main([command, "--help"])
@@ -34,7 +34,7 @@ def help_of(command: str) -> str:
 
 
 def options(panel: str) -> Iterator[tuple[str, str]]:
-    """Names and explanations of a panel of a help text: a name stands two columns in, all else further."""
+    """Yield the names and explanations in a panel of a help text; names are indented by two columns, the rest more."""
     for entry in re.split(r"^  (?! )", panel, flags=re.MULTILINE)[1:]:
         name, *said = re.split(r"\s{2,}", entry.strip())
         yield name, " ".join(said)
@@ -58,20 +58,20 @@ def _section(command: str) -> str:
 
 
 def _paragraph(text: str) -> str:
-    """A paragraph of an explanation, or commands to copy."""
+    """Format a paragraph of an explanation, or commands to copy."""
     lines = [line.strip() for line in text.strip().splitlines()]
     return "\n".join(["```sh", *lines, "```"] if all(line.startswith("foveate ") for line in lines) else lines)
 
 
 def _without_aliases(name: str, current: set[str]) -> str:
-    """The name of an option without those that it had in earlier versions; `current` are the names of today."""
+    """Remove the names of earlier versions from an option; `current` are the present names."""
     parts = name.split(", ")
     kept = [part for part in parts if part.removeprefix("--").removeprefix("no-") in current]
     return ", ".join(kept) if len(kept) > 1 else name
 
 
 def _row(name: str, what: str) -> str:
-    """A line of the table: choices may be broken into lines, and cells have no bars."""
+    """Format a row of the table; long choices may wrap, and bars in cells are escaped."""
     found = DEFAULT.search(what)
     text = what[: found.start()] if found else what
     default = "*required*" if found and found[1] is None else "" if not found or found[1] in ("None", "") else found[1]

@@ -1,4 +1,4 @@
-"""The page of every key of a configuration, from the frozen dataclasses that read it and from what they say."""
+"""Generate the page of all configuration keys from the dataclasses that read them and their docstrings."""
 
 import ast
 import inspect
@@ -15,15 +15,15 @@ from foveate.io.toml import dumps_toml
 
 INTRODUCTION = """# Configuration
 
-Every key of a run's `config.toml`, which `foveate train --config` reads and `foveate fit` writes. All keys have
-defaults but those marked *required*; unknown and mistyped ones are rejected in one line that names the key, its value
-and what would be right. In Python the same records are [`foveate.Experiment`][foveate.Experiment],
-[`foveate.Scenario`][foveate.Scenario] and what they hold, with the same names.
+All keys of a run's `config.toml`, which `foveate train --config` reads and `foveate fit` writes. Keys have defaults
+unless marked *required*. An unknown or mistyped key is rejected in one line that names the key, its value and what
+would be right. In Python, [`foveate.Experiment`][foveate.Experiment], [`foveate.Scenario`][foveate.Scenario] and the
+records in them have the same names.
 
-Where a table comes in several kinds, its first key says which (`kind`, `shape` or `algorithm`). A matrix is a list of
-rows. Presets are such configurations, too: the last section has one.
+If a table has several kinds, its first key selects one (`kind`, `shape` or `algorithm`). A matrix is a list of rows.
+Presets are configurations too; the last section shows one.
 """
-EXAMPLE = """## The quadrotor's
+EXAMPLE = """## Example: the preset `quadrotor`
 
 ```toml
 {preset}
@@ -35,13 +35,13 @@ UNIT = re.compile(r"(?:_(per))?_(m|s|rad|deg)(\d?)((?:_s\d?)*)$")
 
 
 def page() -> str:
-    """The whole page, in Markdown."""
+    """Return the whole page as Markdown."""
     preset = dumps_toml(PRESETS["quadrotor"]).strip()
     return "\n\n".join([INTRODUCTION, *_sections(), EXAMPLE.format(preset=preset)])
 
 
 def unit(name: str) -> str:
-    """The unit at the end of a key, written as on paper: `v_max_m_s` is in m/s; none where it names none."""
+    """Return the unit at the end of a key, in the usual notation: m/s for `v_max_m_s`; "" for a key without a unit."""
     found = UNIT.search(name)
     if found is None:
         return ""
@@ -52,7 +52,7 @@ def unit(name: str) -> str:
 
 
 def said_of(cls: type) -> dict[str, str]:
-    """What stands as a text below each field of a dataclass, its bases' fields too."""
+    """Return the docstring below each field of a dataclass and of its bases."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):
         body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
@@ -64,7 +64,7 @@ def said_of(cls: type) -> dict[str, str]:
 
 
 def untold(cls: type) -> list[str]:
-    """Keys that neither the text of their class, or of one that it extends, nor a text of their own explains."""
+    """Return the keys that neither the docstrings of the class and its bases nor a docstring of their own explain."""
     prose = " ".join(base.__doc__ or "" for base in cls.__mro__[:-1])
     hints, known = get_type_hints(cls), (*said_of(cls), *TAGS)
     keys = [field.name for field in fields(cls) if not _dataclasses(hints[field.name])]
@@ -72,7 +72,7 @@ def untold(cls: type) -> list[str]:
 
 
 def tables(cls: type = Experiment, path: str = "") -> Iterator[tuple[str, type]]:
-    """Every table of a configuration, with each of its kinds: dotted path, dataclass; from the outside in."""
+    """Yield dotted path and dataclass of every table of a configuration, in each of its kinds, outer tables first."""
     hints = get_type_hints(cls)
     for field in fields(cls):
         for kind in _dataclasses(hints[field.name]):
@@ -82,7 +82,7 @@ def tables(cls: type = Experiment, path: str = "") -> Iterator[tuple[str, type]]
 
 
 def _sections() -> Iterator[str]:
-    """The tables one after the other; a kind that stands in several is explained in the first."""
+    """Yield the sections of all tables; a kind that occurs in several is explained in the first."""
     explained: dict[type, str] = {}
     kinds: dict[str, list[type]] = {}
     for path, kind in tables():
@@ -101,15 +101,15 @@ def _sections() -> Iterator[str]:
 
 
 def _tag(cls: type) -> str:
-    """The line of TOML that says which kind of a table it is; none where the kind has no such key."""
+    """Return the TOML line that selects this kind of table, or "" if the kind has no such key."""
     found = next((field for field in fields(cls) if field.name in TAGS), None)
     return "" if found is None else f'`{found.name} = "{get_args(get_type_hints(cls)[found.name])[0]}"`'
 
 
 def _section(cls: type) -> str:
-    """One kind of a table: what it means, and its keys."""
+    """Format one kind of table: its meaning and its keys."""
     hints, said = get_type_hints(cls), said_of(cls)
-    usual = [f"Meant where `{f.name}` is left out." for f in fields(cls) if f.name in TAGS and f.default is not MISSING]
+    usual = [f"Default if `{f.name}` is left out." for f in fields(cls) if f.name in TAGS and f.default is not MISSING]
     rows = [
         f"| `{f.name}` | {_type(hints[f.name])} | {_default(f)} | {unit(f.name)} | {said.get(f.name, '')} |"
         for f in fields(cls)
@@ -120,7 +120,7 @@ def _section(cls: type) -> str:
 
 
 def _prose(cls: type) -> list[str]:
-    """The docstrings of the class and of what it extends, the general first."""
+    """Return the docstrings of the class and its bases, the most general first."""
     kinds = [kind for kind in reversed(cls.__mro__) if is_dataclass(kind)]
     return [inspect.cleandoc(kind.__doc__ or "") for kind in kinds]
 
@@ -131,12 +131,12 @@ def _text(node: ast.stmt) -> str:
 
 
 def _dataclasses(hint: Any) -> list[type]:
-    """The kinds of table that a type allows; none for a plain value."""
+    """Return the kinds of table that a type allows; none for a plain value."""
     return [part for part in (get_args(hint) or (hint,)) if is_dataclass(part) and isinstance(part, type)]
 
 
 def _type(hint: Any) -> str:
-    """A type in the words of TOML."""
+    """Name a type in TOML's terms."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Literal:
         return " or ".join(f"`{part!r}`".replace("'", '"') for part in parts)

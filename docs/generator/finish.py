@@ -1,4 +1,4 @@
-"""What is done to the built pages: formulas as MathML; and what they must not have: dead links, foreign resources."""
+"""Finish the built pages: convert formulas to MathML, and reject dead links and external resources."""
 
 import re
 from html import unescape
@@ -17,9 +17,9 @@ VARIANT = re.compile(r'(?<=<mi) mathvariant="(script|double-struck)">([A-Z])(?=<
 
 
 def finish(site: Path) -> int:
-    """Draw the formulas of a built site, and look it through; the number of pages.
+    """Convert the formulas of a built site, check its pages, and return their number.
 
-    Raises ValueError with a line for each link that leads nowhere, and each resource that would come from elsewhere.
+    Raises ValueError with a line for each dead link and each external resource.
     """
     pages = sorted(site.rglob("*.html"))
     for page in pages:
@@ -33,7 +33,7 @@ def finish(site: Path) -> int:
 
 
 def with_formulas(html: str) -> str:
-    """The page with every formula in MathML, which browsers draw by themselves."""
+    """Return the page with every formula in MathML, which browsers draw natively."""
 
     def formula(found: re.Match[str]) -> str:
         drawn = convert(unescape(found[1]).strip(), display="block" if found.re is DISPLAY else "inline")
@@ -44,8 +44,8 @@ def with_formulas(html: str) -> str:
 
 
 def styled(style: str, letter: str) -> str:
-    """The character of a script or double-struck capital: browsers have given up the attribute that asks for it."""
-    name = f"{style.upper()} CAPITAL {letter}"  # the few that came first are not called mathematical
+    """Return a script or double-struck capital as a character, since browsers no longer support its attribute."""
+    name = f"{style.upper()} CAPITAL {letter}"  # the oldest few lack MATHEMATICAL in their name
     try:
         return lookup(f"MATHEMATICAL {name}")
     except KeyError:
@@ -53,7 +53,7 @@ def styled(style: str, letter: str) -> str:
 
 
 class Links(HTMLParser):
-    """What a page links to, what it loads, and the anchors that it has."""
+    """Links, loaded resources and anchors of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -63,13 +63,13 @@ class Links(HTMLParser):
 
     @classmethod
     def of(cls, page: Path) -> "Links":
-        """Those of a file."""
+        """Parse a file."""
         found = cls()
         found.feed(page.read_text(encoding="utf-8"))
         return found
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Take note of a tag."""
+        """Record the links and anchors of a tag."""
         given = {name: value or "" for name, value in attrs}
         self.anchors |= {given[name] for name in ("id", "name") if name in given}
         if tag == "a" and "href" in given:
@@ -81,7 +81,7 @@ class Links(HTMLParser):
 
 
 def faults(page: Path, read: dict[Path, Links], site: Path) -> list[str]:
-    """A line for each link of a page that leads nowhere, and for each resource from elsewhere."""
+    """Return a line for each dead link of a page, and for each external resource."""
     name, found = page.relative_to(site), []
     for target in [*read[page].linked, *read[page].loaded]:
         parts = urlsplit(target)
@@ -102,5 +102,5 @@ def faults(page: Path, read: dict[Path, Links], site: Path) -> list[str]:
 
 
 def foreign(sheet: Path) -> list[str]:
-    """What a style sheet would load from elsewhere."""
+    """Return the external resources that a style sheet would load."""
     return re.findall(r"(?:url\(|@import)\s*['\"]?((?:https?:)?//[^'\")\s]+)", sheet.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Which files make the site: the pages, and whatever they link to, code as pages of its own."""
+"""Collect the files of the site: the pages and all files that they link to; code becomes pages of its own."""
 
 import ast
 import re
@@ -16,9 +16,9 @@ ASSETS = ("docs/images/logo.svg", "docs/generator/site.css")
 
 
 def gather(root: Path, out: Path, generated: dict[str, str]) -> None:
-    """Lay out the pages in `out` as in the repository at `root`, with all that they link to.
+    """Lay out the pages in `out` as in the repository at `root`, with all files that they link to.
 
-    Raises ValueError, naming page and target, for a link to nothing.
+    Raises ValueError, naming page and target, for a dead link.
     """
     waiting = [path for pattern in PAGES for path in sorted(root.glob(pattern))]
     waiting += [root / asset for asset in ASSETS]
@@ -43,12 +43,12 @@ def gather(root: Path, out: Path, generated: dict[str, str]) -> None:
 
 
 def page_of(file: Path) -> Path:
-    """The page of a file of code."""
+    """Return the path of the page for a code file."""
     return file.with_name(f"{file.name}.md")
 
 
 def linked(page: Path, text: str, root: Path, generated: set[Path]) -> Iterator[Path]:
-    """The files of the repository that a page links to."""
+    """Yield the files of the repository that a page links to."""
     for found in FOUND.finditer(text):
         target = found["target"]
         if target is None or re.match(r"[a-z]+:", target):
@@ -60,7 +60,7 @@ def linked(page: Path, text: str, root: Path, generated: set[Path]) -> Iterator[
 
 
 def rewritten(page: Path, text: str) -> str:
-    """The text of a page with links to code leading to the pages of that code, and there to the line that they name."""
+    """Return the text of a page with its links to code replaced by links to the code's page and line."""
 
     def link(match: re.Match[str]) -> str:
         label, target, anchor = match["label"], match["target"], match["anchor"] or ""
@@ -75,7 +75,7 @@ def rewritten(page: Path, text: str) -> str:
 
 
 def line_of(file: Path, symbol: str) -> int:
-    """Where a file defines a symbol, `name` or `Class.name`; the first line where it does not say."""
+    """Return the line on which a file defines a symbol, `name` or `Class.name`; without it the class's line, or 1."""
     nodes, line = ast.parse(file.read_text(encoding="utf-8")).body, 1
     for name in symbol.split("."):
         found = next((node for node in nodes if name in _names(node)), None)
@@ -86,7 +86,7 @@ def line_of(file: Path, symbol: str) -> int:
 
 
 def code_page(file: Path, name: Path) -> str:
-    """A page that shows a file; searches pass it over."""
+    """Return a page that shows a file, excluded from search."""
     kind = {".py": "python", ".toml": "toml", ".json": "json"}.get(file.suffix, "text")
     fence = "`````"
     head = "---\nsearch:\n  exclude: true\n---\n"
@@ -94,7 +94,7 @@ def code_page(file: Path, name: Path) -> str:
 
 
 def _names(node: ast.stmt) -> list[str]:
-    """What a statement defines."""
+    """Return the names that a statement defines."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return [node.name]
     targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
