@@ -21,8 +21,8 @@ from foveate.evaluation.evaluate import evaluate, prepare, simulate
 from foveate.evaluation.summary import summarise, write_result
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
+from foveate.experiment.run_folder import METRICS
 from foveate.io.toml import digest
-from foveate.learning.loop import METRICS
 from foveate.learning.train import train_watched
 from foveate.plotting.animation import animate
 from foveate.plotting.figures import learning_curve, trajectory_figure
