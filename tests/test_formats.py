@@ -61,7 +61,7 @@ def test_a_run_of_before_a_setting_was_there_goes_on_twice(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(experiment, run, seed=1, report=stop)
+        train(experiment, run, seed=1, on_validation=stop)
     lines = (run / CONFIG).read_text().splitlines(keepends=True)
     old = "".join(line for line in lines if not line.startswith(("jitter_m_s", "digest")))
     (run / CONFIG).write_text(old)

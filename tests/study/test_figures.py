@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 from plotting.test_figures import made_up
 
-from foveate.learning.loop import Validation
+from foveate.experiment.run_folder import Validation
 from foveate.plotting import scene as drawing
 from foveate.study import figures as figures_comparison
 from foveate.study.comparison import Overall

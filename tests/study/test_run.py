@@ -7,7 +7,7 @@ import pytest
 
 from foveate.evaluation.evaluate import Row
 from foveate.experiment.presets import PRESETS
-from foveate.learning.loop import Outcome
+from foveate.experiment.run_folder import Outcome
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import suite
 from foveate.study import run as reproduction

@@ -14,8 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
 from foveate.errors import InputError
-from foveate.experiment.run_folder import read_validations
-from foveate.learning.loop import METRICS
+from foveate.experiment.run_folder import METRICS, read_validations
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import (
