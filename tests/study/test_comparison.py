@@ -63,12 +63,6 @@ def test_a_scene_counts_once_however_many_seeds(comparison):
     assert cell.ci95 == pytest.approx(expected)
 
 
-def test_closeness_is_refused_for_a_filter_that_learns_from_looking_in_vain():
-    scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=3)
-    with pytest.raises(ValueError, match="normalised_score is of a filter"):
-        lower_bounds(Scenario(sensor=SensorSettings(missed_detections="used")).problem(), [scene])
-
-
 def test_closeness_runs_from_the_floor_to_the_omniscient(comparison):
     for cell in comparison.summary:
         low = FLOORS[cell.motion, cell.targets]
@@ -145,18 +139,6 @@ def test_json_keeps_the_training_seed(comparison):
     assert len(data["rows"]) == 4 * 2 * SCENES
     assert {row["training_seed"] for row in data["rows"] if row["method"] == "net"} == {0, 10}
     assert {row["training_seed"] for row in data["rows"] if row["method"] == "other"} == {None}
-
-
-def test_floors_are_means_over_the_scenes_of_a_cell():
-    problem = Scenario().problem()
-    scenes = [
-        Scene(id=f"{n}-{steps}", agent=(0.0,) * 3, targets=((1.0, 1.0),) * n, drift=((0.0, 0.0),) * n, horizon=steps)
-        for n, steps in ((1, 3), (1, 9), (2, 21))
-    ]
-    unseen = {steps: -2 * np.log(2.0 + 0.05**2 * steps) for steps in (3, 9, 21)}
-    found = lower_bounds(problem, scenes)
-    assert found["unbiased", 1] == pytest.approx((unseen[3] + unseen[9]) / 2)
-    assert found["unbiased", 2] == pytest.approx(unseen[21])
 
 
 def test_without_an_omniscient_there_is_no_closeness():

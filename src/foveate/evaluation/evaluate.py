@@ -1,6 +1,5 @@
 """How well a policy did, honestly: every method on the same scenes, the same noise, under both protocols."""
 
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
@@ -13,6 +12,7 @@ import jax
 import numpy as np
 
 from foveate.evaluation.metrics import measures
+from foveate.learning.devices import cores
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.simulation.episodes import scene_episodes
@@ -118,7 +118,7 @@ def simulate(
         return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
 
     parts = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for part in pool.map(run, range(0, count, chunk)):
             parts.append(part)
             report(min(count, chunk * len(parts)))
