@@ -48,7 +48,7 @@ from foveate.simulation.records import Observation as Observation
 from foveate.simulation.records import Policy as Policy
 from foveate.simulation.records import Trace as Trace
 from foveate.simulation.rollout import rollout as rollout
-from foveate.study.methods import Bench as Bench
+from foveate.study.methods import Benchmark as Benchmark
 from foveate.study.methods import Fixed as Fixed
 from foveate.study.methods import Learned as Learned
 from foveate.study.methods import Method as Method

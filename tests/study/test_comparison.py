@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
+from foveate.evaluation.bounds import with_normalised_scores
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.summary import summarise
 from foveate.io.tables import markdown
-from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import Scene
-from foveate.scenario.sensor import SensorSettings
 from foveate.study.comparison import Part, as_json, compare
 from foveate.study.tables import tables
 

@@ -1,7 +1,6 @@
 """Pictures of a comparison: steps are counted right, the front is the front, mean and band stand where they should."""
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from foveate.learning.loop import Validation
 from foveate.plotting import scene as drawing
 from foveate.study import figures as figures_comparison
 from foveate.study.comparison import Overall
-from foveate.study.figures import Curve, curve_of, duel_figure, learning_curves, pareto_figure, pareto_front
+from foveate.study.figures import duel_figure, learning_curves, pareto_figure, pareto_front
 
 CHECK = Validation(
     epoch=50, objective=1.0, gradient_norm=2.0, held_out=3.0, at_limit=0.0, best=True, epochs_per_s=9.0, elapsed_s=8.0
@@ -44,22 +43,13 @@ def brute_force_front(points):
     }
 
 
-def test_curve_of_a_run(tmp_path):
-    checks = [replace(CHECK, env_steps=9900 * i, held_out=2.0 * i, elapsed_s=2.0 + i) for i in (1, 2, 3)]
-    (tmp_path / "metrics.jsonl").write_text("".join(json.dumps(asdict(check)) + "\n" for check in checks))
-    curve = curve_of(tmp_path)
-    np.testing.assert_allclose(curve.steps, [9900, 19800, 29700])
-    np.testing.assert_allclose(curve.seconds, [3, 4, 5])
-    np.testing.assert_allclose(curve.score, [2, 4, 6])
-
-
 def test_mean_and_band_over_seeds():
     def line(a, b):
-        x = np.linspace(10.0, 100.0, 7)
-        return Curve(steps=x, seconds=x, score=a + b * x)
+        return [replace(CHECK, env_steps=int(x), held_out=a + b * x) for x in np.linspace(10, 100, 10)]
 
     axes = drawing.new_figure(3.0, 3.0).subplots()
-    figures_comparison._mean_curve(axes, [line(0.0, 1.0), line(2.0, 3.0), line(1.0, 5.0)], "steps", drawing.BLUE)
+    x_of = figures_comparison.LEARNING_AXES["environment steps"]
+    figures_comparison._mean_curve(axes, [line(0.0, 1.0), line(2.0, 3.0), line(1.0, 5.0)], x_of, drawing.BLUE)
     x, y = axes.lines[0].get_data()
     np.testing.assert_allclose(y, 1.0 + 3.0 * np.asarray(x), rtol=1e-9)
     assert (x[0], x[-1]) == pytest.approx((10.0, 100.0))
@@ -77,9 +67,9 @@ def test_the_front_is_what_nobody_beats():
         assert found == {(one.step_time_s, one.mean) for one in points if one.method in expected}
 
 
-def test_labels_that_would_cover_each_other_are_moved_apart():
+def test_labels_that_would_cover_each_other_are_moved_spread_labels():
     points = [overall(str(i), 1e-3, value) for i, value in enumerate((1.0, 1.01, 1.0, 5.0))]
-    heights = figures_comparison._apart([*points, overall("far", 1.0, 1.0)], 0.2)
+    heights = figures_comparison._spread_labels([*points, overall("far", 1.0, 1.0)], 0.2)
     assert min(np.diff(sorted(heights[:4]))) > 0.2 - 1e-9
     assert heights[3:] == [5.0, 1.0]
 
@@ -95,10 +85,8 @@ def test_both_agents_are_drawn_in_their_own_colour():
 
 
 def test_figures_are_files_of_readme_width(tmp_path):
-    x = np.array([1e4, 2e4, 3e4])
-    curves = [Curve(steps=x, seconds=x / 1e3, score=np.array([1.0, 2.0, 3.0]))]
-    one = [Curve(steps=x[:1], seconds=x[:1], score=np.array([1.0]))]
-    learning_curves({"a": ("true", curves * 2), "b": ("surrogate", one)}, tmp_path / "learning.png")
+    run = [replace(CHECK, env_steps=9900 * i, held_out=2.0 * i, elapsed_s=2.0 + i) for i in (1, 2, 3)]
+    learning_curves({"a": ("true", [run, run]), "b": ("surrogate", [run[:1]])}, tmp_path / "learning.png")
     pareto_figure(
         [overall("a", 1e-3, 1.0), overall("b", 1e-2, 2.0, "someone's"), overall("o", 1.0, 3.0, "omniscient")],
         tmp_path / "pareto.png",

@@ -1,17 +1,17 @@
-"""What rows of several methods say: cells with normalised_score, the spread over training seeds, paired differences.
+"""Comparison of methods by their rows: cells with normalised scores, each training seed, paired differences.
 
-The unit that is independent is the scene: a method that was trained with several seeds counts with its mean over them.
+Scenes are independent, rows are not: a method that was trained with several seeds counts with its mean over them.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from foveate.evaluation.bounds import Cell, with_normalised_scores
 from foveate.evaluation.evaluate import Row
-from foveate.evaluation.statistics import holm, paired
+from foveate.evaluation.statistics import group_by, holm, paired
 from foveate.evaluation.summary import Summary, summarise
 
 
@@ -70,7 +70,7 @@ class Overall:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All that tables and figures show, for one first error of beliefs (None: the world's own)."""
+    """All that tables and figures show, for one first error of beliefs (None: the experiment's own)."""
 
     initial_error: str | None
     reference: str
@@ -81,18 +81,17 @@ class Comparison:
     overall: tuple[Overall, ...]
 
 
-def compare(parts: Sequence[Part], reference: str, floors: Mapping[Cell, float], state_size: int) -> Comparison:
-    """Compare methods, all with the same first error of beliefs; `floors` gives the score of never seeing anything,
-    and one of them is `omniscient`."""
+def compare(parts: Sequence[Part], reference: str, lowest: Mapping[Cell, float], state_size: int) -> Comparison:
+    """Compare methods, `omniscient` among them, all with the same first error; `lowest` has the cells' lower bounds."""
     rows = [row for part in parts for row in part.rows]
     plain = summarise(rows, state_size)
-    ceiling = [cell for cell in plain if cell.method == "omniscient"]
-    summary = with_normalised_scores(plain, ceiling, floors)
+    oracle = [cell for cell in plain if cell.method == "omniscient"]
+    summary = with_normalised_scores(plain, oracle, lowest)
     by_seed = [
         BySeed(training_seed=part.training_seed, cell=cell)
         for part in parts
         if part.training_seed is not None
-        for cell in with_normalised_scores(summarise(part.rows, state_size), ceiling, floors)
+        for cell in with_normalised_scores(summarise(part.rows, state_size), oracle, lowest)
     ]
     families = {part.method: part.family for part in parts}
     return Comparison(
@@ -106,83 +105,70 @@ def compare(parts: Sequence[Part], reference: str, floors: Mapping[Cell, float],
     )
 
 
-def _differences(rows: Sequence[Row], reference: str) -> list[Difference]:
+def _differences(rows: Sequence[Row], reference: str) -> Iterator[Difference]:
     """Every method but the reference itself, cell by cell, in the order of the rows."""
-    scores: dict[tuple[str, str, str, int], dict[str, list[float]]] = {}
-    for row in rows:
-        if row.score is not None:
-            cell = scores.setdefault((row.method, row.protocol, row.motion, row.targets), {})
-            cell.setdefault(row.scene, []).append(row.score)
-    means = {cell: {scene: float(np.mean(found)) for scene, found in by.items()} for cell, by in scores.items()}
-    groups: dict[tuple[str, str], list[Difference]] = {}
-    for (method, protocol, motion, targets), ours in means.items():
+    cells = group_by(rows, lambda row: (row.method, row.protocol, row.motion, row.targets))
+    means = {cell: means for cell, group in cells.items() if (means := _mean_by_scene(group))}
+    for (method, protocol), family in group_by(means, lambda cell: cell[:2]).items():
         if method == reference:
             continue
-        theirs = means[reference, protocol, motion, targets]
-        found = paired(list(ours.values()), [theirs[scene] for scene in ours])
-        groups.setdefault((method, protocol), []).append(
-            Difference(
+        tests = []
+        for _, _, *cell in family:
+            ours, theirs = means[method, protocol, *cell], means[reference, protocol, *cell]
+            tests.append(paired(list(ours.values()), [theirs[scene] for scene in ours]))
+        adjusted = holm([test.p for test in tests])
+        for (_, _, motion, targets), test, p_holm in zip(family, tests, adjusted, strict=True):
+            yield Difference(
                 method=method,
                 reference=reference,
                 protocol=protocol,
                 motion=motion,
                 targets=targets,
-                mean=found.mean,
-                ci95=found.ci95,
-                p=found.p,
-                p_holm=found.p,
-                scenes=len(ours),
+                p_holm=p_holm,
+                scenes=len(means[method, protocol, motion, targets]),
+                **asdict(test),
             )
-        )
-    return [
-        replace(one, p_holm=adjusted)
-        for group in groups.values()
-        for one, adjusted in zip(group, holm([one.p for one in group]), strict=True)
-    ]
 
 
-def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[str, str]) -> list[Overall]:
-    times: dict[tuple[str, str], dict[Cell, list[float]]] = {}
-    for row in rows:
-        cell = times.setdefault((row.method, row.protocol), {})
-        cell.setdefault((row.motion, row.targets), []).append(row.step_time_s)
-    found = []
-    for (method, protocol), by_cell in times.items():
-        cells = [cell for cell in summary if (cell.method, cell.protocol) == (method, protocol)]
-        close = [cell.normalised_score for cell in cells if cell.normalised_score is not None]
-        found.append(
-            Overall(
-                method=method,
-                family=families[method],
-                protocol=protocol,
-                mean=float(np.mean([cell.mean for cell in cells])),
-                normalised_score=float(np.mean(close)) if len(close) == len(cells) else None,
-                seen_fraction=float(np.mean([cell.seen_fraction for cell in cells])),
-                step_time_s=float(np.mean([np.mean(seconds) for seconds in by_cell.values()])),
-            )
+def _mean_by_scene(rows: Sequence[Row]) -> dict[str, float]:
+    scores = group_by(((row.scene, row.score) for row in rows if row.score is not None), lambda pair: pair[0])
+    return {scene: float(np.mean([score for _, score in pairs])) for scene, pairs in scores.items()}
+
+
+def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[str, str]) -> Iterator[Overall]:
+    summaries = group_by(summary, lambda cell: (cell.method, cell.protocol))
+    for (method, protocol), ours in group_by(rows, lambda row: (row.method, row.protocol)).items():
+        cells = summaries[method, protocol]
+        normalised = [cell.normalised_score for cell in cells if cell.normalised_score is not None]
+        by_cell = group_by(ours, lambda row: (row.motion, row.targets)).values()
+        yield Overall(
+            method=method,
+            family=families[method],
+            protocol=protocol,
+            mean=float(np.mean([cell.mean for cell in cells])),
+            normalised_score=float(np.mean(normalised)) if len(normalised) == len(cells) else None,
+            seen_fraction=float(np.mean([cell.seen_fraction for cell in cells])),
+            step_time_s=float(np.mean([np.mean([row.step_time_s for row in group]) for group in by_cell])),
         )
-    return found
 
 
 def as_json(comparisons: Sequence[Comparison], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Comparisons as an evaluation result: each row with its method's training seed and, where the world's own is not
-    meant, the first error of its beliefs; and what follows from them."""
+    """Comparisons as an evaluation result: rows with training seed and first error, and what follows from them.
+
+    The first error is left out where it is the experiment's own.
+    """
 
     def listed(records: Callable[[Comparison], Iterable[dict[str, Any]]]) -> list[dict[str, Any]]:
-        return [
-            record if one.initial_error is None else {**record, "initial_error": one.initial_error}
-            for one in comparisons
-            for record in records(one)
-        ]
+        errors = [{} if one.initial_error is None else {"initial_error": one.initial_error} for one in comparisons]
+        return [record | error for one, error in zip(comparisons, errors, strict=True) for record in records(one)]
+
+    def rows(one: Comparison) -> Iterator[dict[str, Any]]:
+        return (asdict(row) | {"training_seed": part.training_seed} for part in one.parts for row in part.rows)
 
     return {
         **facts,
         "reference": comparisons[0].reference,
-        "rows": listed(
-            lambda one: (
-                {**asdict(row), "training_seed": part.training_seed} for part in one.parts for row in part.rows
-            )
-        ),
+        "rows": listed(rows),
         "summary": listed(lambda one: map(asdict, one.summary)),
         "by_seed": listed(lambda one: ({"training_seed": s.training_seed, **asdict(s.cell)} for s in one.by_seed)),
         "differences": listed(lambda one: map(asdict, one.differences)),

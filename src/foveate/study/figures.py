@@ -1,12 +1,10 @@
-"""Pictures of a comparison: how methods learn, two of them in one scene, score against time. Reads, never simulates."""
+"""Figures of a comparison: learning curves, two methods in the same scenes, score against time."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -14,8 +12,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
 from foveate.errors import InputError
-from foveate.experiment.run_folder import read_validations
-from foveate.learning.loop import METRICS
+from foveate.evaluation.statistics import group_by
+from foveate.experiment.run_folder import Validation
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import (
@@ -38,17 +36,13 @@ from foveate.study.comparison import Overall
 HALO = withStroke(linewidth=2.5, foreground="white")
 """Keeps a label legible that a line runs through."""
 
-
 PANEL_POINTS = 260.0
 """Height of a panel of the Pareto figure, nearly."""
-
 
 GRID = 200
 """Points along a mean curve."""
 
-
 DUEL = (BLUE, VERMILLION)
-
 
 STYLES = {
     "trained": (BLUE, "o"),
@@ -58,31 +52,20 @@ STYLES = {
 }
 """Colour and marker of a family of methods; another one is black."""
 
+Curves = tuple[str, Sequence[Sequence[Validation]]]
+"""Protocol of the held-out score of a learner, and the validations of each of its trainings."""
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Curve:
-    """One training: environment steps, seconds, and the held-out score [nat per target] of every check."""
-
-    steps: Float[np.ndarray, " checks"]
-    seconds: Float[np.ndarray, " checks"]
-    score: Float[np.ndarray, " checks"]
-
-
-def curve_of(run: Path) -> Curve:
-    """The curve of a run folder; a score that was not finite is missing."""
-    checks = read_validations(run / METRICS)
-    return Curve(
-        steps=np.array([float(check.env_steps) for check in checks]),
-        seconds=np.array([check.elapsed_s for check in checks]),
-        score=np.array([check.held_out for check in checks], float),
-    )
+LEARNING_AXES: dict[str, Callable[[Validation], float]] = {
+    "environment steps": lambda validation: float(validation.env_steps),
+    "wall time [s]": lambda validation: validation.elapsed_s,
+}
 
 
-def learning_curves(learners: Mapping[str, tuple[str, Sequence[Curve]]], path: Path) -> None:
+def learning_curves(learners: Mapping[str, Curves], path: Path) -> None:
     """Held-out score against environment steps and against time; the mean over seeds, in a band from worst to best.
 
-    `learners` gives the protocol of the held-out score, and the curves, by name; learners that are judged by different
-    protocols have panels one below the other. Raises ValueError for none.
+    Learners, by name, whose scores are of different protocols have panels one below the other. Raises ValueError for
+    none.
     """
     if not learners:
         raise InputError("no learner to draw: expected at least one")
@@ -91,41 +74,48 @@ def learning_curves(learners: Mapping[str, tuple[str, Sequence[Curve]]], path: P
     panels = figure.subplots(len(protocols), 2, squeeze=False, sharey="row")
     colors = dict(zip(learners, CYCLE * len(learners), strict=False))
     for row, protocol in zip(panels, protocols, strict=True):
-        for axes, what, label in zip(row, ("steps", "seconds"), ("environment steps", "wall time [s]"), strict=True):
-            for name, (its_protocol, curves) in learners.items():
-                if its_protocol == protocol:
-                    _mean_curve(axes, curves, what, colors[name])
+        for axes, (label, x_of) in zip(row, LEARNING_AXES.items(), strict=True):
+            for name, (of_learner, runs) in learners.items():
+                if of_learner == protocol:
+                    _mean_curve(axes, runs, x_of, colors[name])
             _log_axis(axes)
-            axes.grid(color=PALE, lw=0.6)
-            clean(axes, 9.0)
-            axes.set_xlabel(label, fontsize=9.5)
+            _tidy(axes, label)
         row[0].set_ylabel(f"held-out {protocol} score\n[nat per target]", fontsize=9.5)
     entries = [
-        Line2D([], [], color=colors[name], lw=2, label=f"{name} ({len(curves)} seed{'s' * (len(curves) != 1)})")
-        for name, (_, curves) in learners.items()
+        Line2D([], [], color=colors[name], lw=2, label=f"{name} ({len(runs)} seed{'s' * (len(runs) != 1)})")
+        for name, (_, runs) in learners.items()
     ]
     figure.legend(handles=entries, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     save(figure, path)
 
 
-def _mean_curve(axes: Axes, curves: Sequence[Curve], what: str, color: str) -> None:
-    """Where all of the seeds have a value: their mean, and a band from the lowest to the highest."""
-    across = [getattr(curve, what) for curve in curves]
+def _mean_curve(
+    axes: Axes, runs: Sequence[Sequence[Validation]], x_of: Callable[[Validation], float], color: str
+) -> None:
+    """Where all runs have a value: their mean, and a band from the lowest to the highest."""
+    across = [np.array([x_of(validation) for validation in run]) for run in runs]
+    scores = [np.array([validation.held_out for validation in run], float) for run in runs]
     first, last = max(x[0] for x in across), min(x[-1] for x in across)
     grid = np.geomspace(first, last, GRID) if last > first else np.array([first])
-    values = np.array([np.interp(grid, x, curve.score) for x, curve in zip(across, curves, strict=True)])
+    values = np.array([np.interp(grid, x, score) for x, score in zip(across, scores, strict=True)])
     axes.fill_between(grid, values.min(axis=0), values.max(axis=0), color=color, alpha=0.18, lw=0)
     axes.plot(grid, values.mean(axis=0), color=color, lw=2, marker="o" if len(grid) == 1 else "")
 
 
 def _log_axis(axes: Axes, subs: Sequence[float] = (1.0, 2.0, 5.0), right: float = 1.6) -> None:
-    """A logarithmic x axis with numbers that are read at once; wide enough that there are some."""
+    """A logarithmic x axis with plain numbers, wide enough that there are some."""
     low, high = axes.dataLim.intervalx
     axes.set_xscale("log")
     axes.set_xlim(low / 1.6, high * right)
     axes.xaxis.set_major_locator(LogLocator(subs=tuple(subs)))
     axes.xaxis.set_major_formatter(EngFormatter(sep="") if high > 1e3 else FuncFormatter(lambda x, _: f"{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _tidy(axes: Axes, label: str) -> None:
+    axes.grid(color=PALE, lw=0.6)
+    clean(axes, 9.0)
+    axes.set_xlabel(label, fontsize=9.5)
 
 
 def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[EpisodeData, EpisodeData]], path: Path) -> None:
@@ -136,39 +126,30 @@ def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[EpisodeData, Epis
     """
     if not scenes:
         raise InputError("no scene to draw: expected at least one")
-    side = WIDTH / COLUMNS
-    figure = new_figure(WIDTH, (side + 0.45) * len(scenes) + 0.35)
+    figure = new_figure(WIDTH, (WIDTH / COLUMNS + 0.45) * len(scenes) + 0.35)
     rows = figure.subfigures(len(scenes), 1, squeeze=False)[:, 0]
     for row, pair in zip(rows, scenes, strict=True):
-        results = "   ".join(f"{name} {_score(film)}" for name, film in zip(names, pair, strict=True))
-        row.suptitle(
-            f"{pair[0].targets} targets: {results}", x=0.01, y=0.99, va="top", ha="left", fontsize=9, fontweight="bold"
-        )
-        box, film = limits(pair), pair[0]
+        first, box = pair[0], limits(pair)
+        scores = ["" if data.score is None else f"{data.score:.2f}" for data in pair]
+        results = "   ".join(f"{name} {score}" for name, score in zip(names, scores, strict=True))
+        title = f"{first.targets} targets: {results}"
+        row.suptitle(title, x=0.01, y=0.99, va="top", ha="left", fontsize=9, fontweight="bold")
         for column in range(COLUMNS):
-            instant = round(film.steps * column / (COLUMNS - 1))
+            instant = round(first.steps * column / (COLUMNS - 1))
             axes = row.add_subplot(1, COLUMNS, column + 1)
-            stages = [PlanarScene(axes, one, box, tint=tint) for one, tint in zip(pair, DUEL, strict=True)]
-            for stage in stages:
-                stage.show(SUBSTEPS * instant)
-            stages[0].label(8.0, x=row is rows[-1], y=column == 0)
-            axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
-    figure.legend(handles=_duel_legend(names), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
-    save(figure, path)
-
-
-def _score(film: EpisodeData) -> str:
-    return "" if film.score is None else f"{film.score:.2f}"
-
-
-def _duel_legend(names: tuple[str, str]) -> list[Line2D | Patch]:
-    methods = [Line2D([], [], color=color, lw=2, label=name) for name, color in zip(names, DUEL, strict=True)]
-    return [
-        *methods,
+            drawn = [PlanarScene(axes, data, box, tint=tint) for data, tint in zip(pair, DUEL, strict=True)]
+            for each in drawn:
+                each.show(SUBSTEPS * instant)
+            drawn[0].label(8.0, x=row is rows[-1], y=column == 0)
+            axes.set_title(f"t = {first.times_s[instant]:g} s", fontsize=8.5, pad=3)
+    entries = [
+        *(Line2D([], [], color=color, lw=2, label=name) for name, color in zip(names, DUEL, strict=True)),
         Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target, its track"),
         Patch(facecolor=PALE, edgecolor=BLACK, lw=1.3, label="belief (95 %), seen now"),
         Patch(facecolor="white", edgecolor=BLACK, ls=(0, (3, 2)), label="not seen now"),
     ]
+    figure.legend(handles=entries, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
+    save(figure, path)
 
 
 def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
@@ -178,24 +159,21 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
     """
     if not overall:
         raise InputError("no method to draw: expected at least one")
-    protocols = list(dict.fromkeys(one.protocol for one in overall))
+    protocols = group_by(overall, lambda one: one.protocol)
     figure = new_figure(WIDTH, 4.6)
     panels = figure.subplots(1, len(protocols), squeeze=False, sharey=True)[0]
-    for axes, protocol in zip(panels, protocols, strict=True):
-        ours = [one for one in overall if one.protocol == protocol]
-        _pareto_panel(axes, [one for one in ours if one.family != "omniscient"])
-        for one in ours:
-            if one.family == "omniscient":
-                axes.axhline(one.mean, color=BLACK, ls="--", lw=1)
-                axes.annotate(
-                    f"omniscient {one.mean:.2f}", (0.01, one.mean), (0, 3), xycoords=axes.get_yaxis_transform(),
-                    textcoords="offset points", fontsize=8.5,
-                )  # fmt: skip
+    for axes, (protocol, methods) in zip(panels, protocols.items(), strict=True):
+        _pareto_panel(axes, [method for method in methods if method.family != "omniscient"])
+        for oracle in (method for method in methods if method.family == "omniscient"):
+            axes.axhline(oracle.mean, color=BLACK, ls="--", lw=1)
+            axes.annotate(
+                f"omniscient {oracle.mean:.2f}", (0.01, oracle.mean), (0, 3), xycoords=axes.get_yaxis_transform(),
+                textcoords="offset points", fontsize=8.5,
+            )  # fmt: skip
         axes.set_title(f"{protocol} score", fontsize=10, fontweight="bold", loc="left")
     panels[0].set_ylabel("score [nat per target], mean over cells", fontsize=9.5)
-    families = dict.fromkeys(one.family for one in overall if one.family != "omniscient")
     entries = []
-    for family in families:
+    for family in dict.fromkeys(one.family for one in overall if one.family != "omniscient"):
         color, marker = STYLES.get(family, (BLACK, "o"))
         entries.append(Line2D([], [], color=color, ls="none", marker=marker, ms=6, label=family))
     entries.append(Line2D([], [], color=GREY, lw=1.2, label="nobody faster scores more"))
@@ -204,7 +182,7 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
 
 
 def pareto_front(overall: Sequence[Overall]) -> list[Overall]:
-    """Those that score more than all that decide as fast or faster, fastest first."""
+    """Methods that score more than all that decide as fast or faster, fastest first."""
     front: list[Overall] = []
     for one in sorted(overall, key=lambda one: (one.step_time_s, -one.mean)):
         if not front or one.mean > front[-1].mean:
@@ -218,13 +196,11 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     for one in overall:
         color, marker = STYLES.get(one.family, (BLACK, "o"))
         axes.plot(1e3 * one.step_time_s, one.mean, color=color, marker=marker, ms=6, mec="white", mew=0.6, zorder=5)
-    axes.grid(color=PALE, lw=0.6)
-    clean(axes, 9.0)
-    axes.set_xlabel("time of a decision [ms]", fontsize=9.5)
+    _tidy(axes, "time of a decision [ms]")
     axes.margins(y=0.08)
     low, high = axes.get_ylim()
     _log_axis(axes, (1.0,), right=4.0)
-    for one, height in zip(overall, _apart(overall, 0.036 * (high - low)), strict=True):
+    for one, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
         label = axes.annotate(
             one.method, (1e3 * one.step_time_s, one.mean), (6, (height - one.mean) / (high - low) * PANEL_POINTS),
             textcoords="offset points", fontsize=8, va="center", zorder=4, path_effects=[HALO],
@@ -232,12 +208,12 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
         label.set_in_layout(False)
 
 
-def _apart(overall: Sequence[Overall], least: float) -> list[float]:
+def _spread_labels(overall: Sequence[Overall], least: float) -> list[float]:
     """Heights of labels beside their points: where points are near in time, pushed up until none covers another."""
     order = sorted(range(len(overall)), key=lambda i: overall[i].mean)
     heights = [one.mean for one in overall]
-    for at, i in enumerate(order):
-        for j in order[:at]:
+    for rank, i in enumerate(order):
+        for j in order[:rank]:
             near = abs(math.log(overall[i].step_time_s / overall[j].step_time_s)) < math.log(4.0)
             if near and heights[i] - heights[j] < least:
                 heights[i] = heights[j] + least

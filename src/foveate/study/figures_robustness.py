@@ -16,10 +16,8 @@ from foveate.study.robustness import ORACLE, Factor, Verdict
 
 COLUMNS = 4
 
-
 STYLES = ((BLUE, "o", "-"), (VERMILLION, "^", "-"), (GREEN, "s", "-"), (PURPLE, "D", "-"), (ORANGE, "v", "-"))
 """Colour, marker and line of the methods, in the order in which they are given."""
-
 
 DASHED = (BLACK, "", "--")
 
