@@ -1,4 +1,4 @@
-"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite and a training that take seconds."""
+"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite that takes seconds."""
 
 import json
 import math

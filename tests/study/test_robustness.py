@@ -10,10 +10,11 @@ from scipy import stats
 from foveate.evaluation.evaluate import evaluate
 from foveate.experiment.presets import PRESETS
 from foveate.policies.heuristics import heuristic
+from foveate.scenario.factors import FACTORS, Factor
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
-from foveate.study.robustness import FACTORS, Factor, Point, as_json, changed_benchmark, measure, verdicts
+from foveate.study.robustness import Point, as_json, changed_benchmark, measure, verdicts
 from foveate.study.tables import worlds
 
 PAPER = PRESETS["paper"]

@@ -85,7 +85,7 @@ def a_study(experiment=EXPERIMENT, starts=1, **changes) -> Study:
 
 
 def test_jobs_are_in_an_order_that_can_be_done(tmp_path):
-    assert [job.file for job in jobs(a_study(seeds=(5,)), tmp_path)] == [
+    assert [job.path.name for job in jobs(a_study(seeds=(5,)), tmp_path)] == [
         "rows-planner-surrogate.json",
         "rows-planner-true.json",
         "training-net-5.json",

@@ -22,7 +22,7 @@ from foveate import __version__
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, Suite, policy_keys, rows_of
 from foveate.evaluation.statistics import group_by
-from foveate.io.cache import Entry
+from foveate.io.cache import Job
 from foveate.io.files import cache_folder
 from foveate.learning.devices import cores
 from foveate.models import belief
@@ -68,7 +68,7 @@ def omniscient(
     suite: Suite,
     protocol: str,
     settings: PlanSettings,
-    cache: Path | None = None,
+    cache: Path,
     on_progress: OnProgress = lambda done: None,
 ) -> Plans:
     """Plan every episode of a suite, or take the plans from the folder `cache`.
@@ -76,15 +76,25 @@ def omniscient(
     A file that is missing, damaged or of something else is made again; scores are computed here whatever it says.
     """
     futures = jax.jit(jax.vmap(lambda episode: _future(suite.problem, episode)))(suite.episodes)
+    key, shape = _key(suite, protocol, settings), (*futures.state.shape[:2], len(suite.problem.agent.axes))
 
-    def solve() -> tuple[np.ndarray, np.ndarray]:
-        return _solve_all(suite, futures, settings, on_progress)
+    def decode(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        action, seconds = arrays["action"], arrays["seconds"]
+        if action.shape != shape or seconds.shape != shape[:1]:
+            raise InputError(f"plans of shape {action.shape}: expected {shape}")
+        return action, seconds
 
-    if cache is None:
-        action, seconds = solve()
-    else:
-        shape = (*futures.state.shape[:2], len(suite.problem.agent.axes))
-        action, seconds = _entry(cache, _key(suite, protocol, settings), shape).load_or_compute(solve)
+    job = Job(
+        path=cache / f"{key}.npz",
+        kind="plans",
+        version=VERSION,
+        key=lambda: key,
+        compute=lambda: _solve_all(suite, futures, settings, on_progress),
+        encode=lambda plans: {"action": plans[0], "seconds": plans[1]},
+        decode=decode,
+        optional=True,  # a folder that cannot be written costs the next run its time, not this one its result
+    )
+    action, seconds = job.result()
     on_progress(len(action))
     softness = next(iter(PROTOCOLS[protocol].levels), None)  # None: the real view
     value = _scores(suite.problem, futures, jnp.asarray(action), softness)
@@ -185,26 +195,6 @@ def _solve_all(
                 on_progress(done)
             seconds[rows] = (time.perf_counter() - began) / len(rows)
     return action, seconds
-
-
-def _entry(cache: Path, key: str, shape: tuple[int, ...]) -> Entry[tuple[np.ndarray, np.ndarray]]:
-    """The file of plans whose actions have this shape."""
-
-    def decode(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        action, seconds = arrays["action"], arrays["seconds"]
-        if action.shape != shape or seconds.shape != shape[:1]:
-            raise InputError(f"plans of shape {action.shape}: expected {shape}")
-        return action, seconds
-
-    return Entry(
-        path=cache / f"{key}.npz",
-        kind="plans",
-        version=VERSION,
-        key=key,
-        encode=lambda plans: {"action": plans[0], "seconds": plans[1]},
-        decode=decode,
-        optional=True,  # a folder that cannot be written costs the next run its time, not this one its result
-    )
 
 
 def _key(suite: Suite, protocol: str, settings: PlanSettings) -> str:

@@ -112,22 +112,14 @@ def _differences(rows: Sequence[Row], reference: str) -> Iterator[Difference]:
     for (method, protocol), family in group_by(means, lambda cell: cell[:2]).items():
         if method == reference:
             continue
-        tests = []
-        for _, _, *cell in family:
-            ours, theirs = means[method, protocol, *cell], means[reference, protocol, *cell]
-            tests.append(paired(list(ours.values()), [theirs[scene] for scene in ours]))
+        pairs = [(means[cell], means[(reference, *cell[1:])]) for cell in family]
+        tests = [paired(list(ours.values()), [theirs[scene] for scene in ours]) for ours, theirs in pairs]
         adjusted = holm([test.p for test in tests])
-        for (_, _, motion, targets), test, p_holm in zip(family, tests, adjusted, strict=True):
+        for cell, test, p_holm in zip(family, tests, adjusted, strict=True):
             yield Difference(
-                method=method,
-                reference=reference,
-                protocol=protocol,
-                motion=motion,
-                targets=targets,
-                p_holm=p_holm,
-                scenes=len(means[method, protocol, motion, targets]),
-                **asdict(test),
-            )
+                method=method, reference=reference, protocol=protocol, motion=cell[2], targets=cell[3], p_holm=p_holm,
+                scenes=len(means[cell]), **asdict(test),
+            )  # fmt: skip
 
 
 def _mean_by_scene(rows: Sequence[Row]) -> dict[str, float]:
@@ -162,13 +154,10 @@ def as_json(comparisons: Sequence[Comparison], facts: Mapping[str, Any]) -> dict
         errors = [{} if one.initial_error is None else {"initial_error": one.initial_error} for one in comparisons]
         return [record | error for one, error in zip(comparisons, errors, strict=True) for record in records(one)]
 
-    def rows(one: Comparison) -> Iterator[dict[str, Any]]:
-        return (asdict(row) | {"training_seed": part.training_seed} for part in one.parts for row in part.rows)
-
     return {
         **facts,
         "reference": comparisons[0].reference,
-        "rows": listed(rows),
+        "rows": listed(lambda one: (asdict(r) | {"training_seed": p.training_seed} for p in one.parts for r in p.rows)),
         "summary": listed(lambda one: map(asdict, one.summary)),
         "by_seed": listed(lambda one: ({"training_seed": s.training_seed, **asdict(s.cell)} for s in one.by_seed)),
         "differences": listed(lambda one: map(asdict, one.differences)),

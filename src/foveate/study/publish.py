@@ -16,12 +16,12 @@ from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest
 from foveate.plotting.animation import animate
+from foveate.plotting.comparison import duel_figure, learning_curves
 from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.scenario.scenes import Scene
 from foveate.study import robustness
 from foveate.study.comparison import Comparison, as_json, compare
-from foveate.study.figures import duel_figure, learning_curves, pareto_figure
-from foveate.study.figures_robustness import robustness_figure
+from foveate.study.figures import pareto_figure, robustness_figure
 from foveate.study.methods import Acting, Benchmark, can_train
 from foveate.study.run import Results, trained_policy
 from foveate.study.study import Study, benchmark_of

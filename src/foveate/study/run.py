@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from foveate import __version__
 from foveate.errors import InputError
@@ -20,14 +20,15 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
-from foveate.io.cache import Entry
+from foveate.io.cache import Job
 from foveate.io.files import sole_writer, write_atomic
 from foveate.io.toml import digest
 from foveate.learning.train import train
+from foveate.scenario.factors import Factor
 from foveate.simulation.records import Policy
 from foveate.study.comparison import Part
 from foveate.study.methods import Benchmark, Method, Training
-from foveate.study.robustness import Factor, Point, measure
+from foveate.study.robustness import Point, measure
 from foveate.study.study import InitialError, Study, benchmark_of, changed_benchmarks
 
 VERSION = 1
@@ -51,38 +52,12 @@ class Trained:
     outcome: Outcome
 
 
-Record = Part | Trained | Point
-
-
-@dataclass(frozen=True, kw_only=True)
-class Results:
+class Results(NamedTuple):
     """Results of all jobs: rows on the suite, trainings, scores in changed scenarios."""
 
     parts: list[Part]
     trained: list[Trained]
     points: list[Point]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """A piece of work: `compute` gives records, which `file` keeps as `encode` writes and `decode` reads them.
-
-    `key` digests all that they depend on, files of the jobs before among it; `compute` takes what reports its progress.
-    """
-
-    file: str
-    label: str
-    key: Callable[[], str]
-    compute: Callable[[Say], list[Any]]
-    encode: Callable[[list[Any]], Any]
-    decode: Callable[[Any], list[Any]]
-
-    def run(self, folder: Path, note: Say, say: Say) -> list[Record]:
-        """The records, kept in the folder or computed; `say` takes what is wrong with a file there."""
-        note("beginning")
-        path, codec = folder / self.file, {"encode": self.encode, "decode": self.decode}
-        entry = Entry(path=path, kind="unit", version=VERSION, key=self.key(), **codec)
-        return entry.load_or_compute(lambda: self.compute(note), say)
 
 
 def reproduce(
@@ -97,32 +72,33 @@ def reproduce(
     is at work in `out`.
     """
     (out / JOBS).mkdir(parents=True, exist_ok=True)
-    records: list[Record] = []
+    records = []
     with sole_writer(out):
         for done, job in enumerate(jobs(study, out, say)):
 
             def note(line: str, done: int = done, label: str = job.label) -> None:
                 on_progress(done, f"{label}: {line}")
 
-            records += job.run(out / JOBS, note, say)
+            note("beginning")
+            records += job.result(note, on_rejected=say)
     return Results(
-        parts=[record for record in records if isinstance(record, Part)],
-        trained=[record for record in records if isinstance(record, Trained)],
-        points=[record for record in records if isinstance(record, Point)],
+        [record for record in records if isinstance(record, Part)],
+        [record for record in records if isinstance(record, Trained)],
+        [record for record in records if isinstance(record, Point)],
     )
 
 
-def jobs(study: Study, out: Path, say: Say = lambda line: None) -> list[Job]:
+def jobs(study: Study, out: Path, say: Say = lambda line: None) -> list[Job[Any]]:
     """All jobs in the order in which they are done: a training comes before the first job that needs it."""
     factory = _Factory(study=study, out=out, say=say)
-    ordered: dict[str, Job] = {}
+    ordered: dict[Path, Job[Any]] = {}
     for method, seed, job in factory.jobs():
         if method.training is not None and seed is not None:
             training = factory.training(method.training, seed)
-            ordered.setdefault(training.file, training)
-        if job.file in ordered:
-            raise InputError(f"method {method.name}: its file {job.file} is another method's: rename it")
-        ordered[job.file] = job
+            ordered.setdefault(training.path, training)
+        if job.path in ordered:
+            raise InputError(f"method {method.name}: its file {job.path.name} is another method's: rename it")
+        ordered[job.path] = job
     return list(ordered.values())
 
 
@@ -147,7 +123,10 @@ class _Factory:
     def changed(self) -> dict[str, dict[float, Benchmark]]:
         return {factor.name: changed_benchmarks(self.study, factor) for factor in self.study.factors}
 
-    def jobs(self) -> Iterator[tuple[Method, int | None, Job]]:
+    def _job(self, file: str, **fields: Any) -> Job[Any]:
+        return Job(path=self.out / JOBS / file, kind="unit", version=VERSION, **fields)
+
+    def jobs(self) -> Iterator[tuple[Method, int | None, Job[Any]]]:
         """All but trainings, with method and training seed: on the suite, then in changed scenarios."""
         study = self.study
         policies = [(method, seed) for method in study.methods for seed in study.seeds_of(method)]
@@ -160,33 +139,28 @@ class _Factory:
                 if method.name in study.robust:
                     yield method, seed, self.points(method, seed, factor)
 
-    def training(self, training: Training, seed: int) -> Job:
+    def training(self, training: Training, seed: int) -> Job[Any]:
         """The training of a policy, into its own run folder."""
-        name = f"{training.name}-{seed}"
-        run = self.out / TRAININGS / name
+        run = self.out / TRAININGS / f"{training.name}-{seed}"
 
         def records(outcome: Outcome) -> list[Trained]:
-            return [Trained(name=training.name, seed=seed, run=run, experiment=training.experiment, outcome=outcome)]
-
-        def decode(result: Any) -> list[Trained]:
             if not (run / BEST).exists():
                 raise InputError(f"{run}: has no weights")
-            return records(Outcome(**result))
+            return [Trained(name=training.name, seed=seed, run=run, experiment=training.experiment, outcome=outcome)]
 
-        return Job(
-            file=f"training-{name}.json",
-            label=f"training {name}",
+        return self._job(
+            f"training-{run.name}.json",
+            label=f"training {run.name}",
             key=lambda: _training_key(training, seed),
             compute=lambda note: records(self._train(training, seed, run, note)),
             encode=lambda records: asdict(records[0].outcome),
-            decode=decode,
+            decode=lambda result: records(Outcome(**result)),
         )
 
     def _train(self, training: Training, seed: int, run: Path, note: Say) -> Outcome:
         """Resume the run folder where it was begun under the same key; else train from the start."""
         experiment, key = training.experiment, _training_key(training, seed)
         is_ppo = isinstance(experiment.training, PPOSettings)
-        mark = self.out / JOBS / f"training-{run.name}.begun"
 
         def report(validation: Validation, total: int) -> None:
             done = validation.env_steps if is_ppo else validation.epoch
@@ -194,7 +168,7 @@ class _Factory:
             if validation.event:
                 self.say(f"{run}: epoch {validation.epoch}: {validation.event}")
 
-        outcome = None
+        outcome, mark = None, self.out / JOBS / f"training-{run.name}.begun"
         is_begun = all(path.exists() for path in (mark, run / LAST, run / BEST)) and mark.read_text() == key
         if is_begun and not is_ppo:  # PPO cannot resume
             try:
@@ -211,7 +185,7 @@ class _Factory:
             raise InputError(f"{run}: no validation was finite, so there is no policy: {outcome.stopped}")
         return outcome
 
-    def rows(self, method: Method, seed: int | None, protocol: str, error: InitialError | None) -> Job:
+    def rows(self, method: Method, seed: int | None, protocol: str, error: InitialError | None) -> Job[Any]:
         """A method on all scenes of the suite."""
         words = [_label(method, seed), protocol, *([] if error is None else [error])]
 
@@ -226,8 +200,8 @@ class _Factory:
             _check(rows, benchmark.suite, method.name, protocol)
             return records(rows)
 
-        return Job(
-            file=f"rows-{'-'.join(words)}.json",
+        return self._job(
+            f"rows-{'-'.join(words)}.json",
             label=", ".join(words),
             key=lambda: self._key(method, seed, protocol, [self.benchmarks[error]]),
             compute=compute,
@@ -235,7 +209,7 @@ class _Factory:
             decode=lambda result: records([Row(**row) for row in result]),
         )
 
-    def points(self, method: Method, seed: int | None, factor: Factor) -> Job:
+    def points(self, method: Method, seed: int | None, factor: Factor) -> Job[Any]:
         """A method in all scenarios of a factor, under the first protocol."""
         protocol = self.study.protocols[0]
 
@@ -249,8 +223,8 @@ class _Factory:
                 note(f"{len(points)} of {len(factor.values)} scenarios")
             return points
 
-        return Job(
-            file=f"worlds-{_label(method, seed)}-{factor.name}.json",
+        return self._job(
+            f"worlds-{_label(method, seed)}-{factor.name}.json",
             label=f"{_label(method, seed)}, {factor.name} changed",
             key=lambda: self._key(method, seed, protocol, list(self.changed[factor.name].values())),
             compute=compute,

@@ -10,6 +10,7 @@ from foveate.evaluation.statistics import group_by
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.resolve import with_initial_error
+from foveate.scenario.factors import FACTORS, Factor
 from foveate.simulation.records import PROTOCOLS
 from foveate.simulation.suites import SUITE_SEED, table1
 from foveate.study.methods import (
@@ -23,7 +24,7 @@ from foveate.study.methods import (
     paper_methods,
     true_view_methods,
 )
-from foveate.study.robustness import FACTORS, Factor, changed_benchmark
+from foveate.study.robustness import changed_benchmark
 
 InitialError = Literal["paper", "consistent"]
 

@@ -9,8 +9,9 @@ from foveate.evaluation.bounds import Cell
 from foveate.evaluation.statistics import group_by
 from foveate.evaluation.summary import Summary
 from foveate.io.tables import Table
+from foveate.scenario.factors import Factor
 from foveate.study.comparison import Comparison, Difference, Overall
-from foveate.study.robustness import ORACLE, Factor, Point, Verdict, verdicts
+from foveate.study.robustness import ORACLE, Point, Verdict, verdicts
 
 SIGNIFICANT = 0.05
 
@@ -51,18 +52,12 @@ def honesty(comparison: Comparison, protocol: str) -> Table:
     rows = []
     for method in _ranked(comparison, protocol):
         cells = summaries[method.method, protocol]
+        step_fraction = np.mean([cell.seen_step_fraction for cell in cells])
+        unseen_s = np.mean([cell.longest_unseen_s for cell in cells])
+        seen = (f"{method.seen_fraction:.0%}", f"{step_fraction:.1%}", f"{unseen_s:.1f}")
+        errors = (_mean([getattr(cell, name) for cell in cells]) for name in columns)
         outside = sum(not cell.nees_band[0] <= cell.nees <= cell.nees_band[1] for cell in cells)
-        rows.append(
-            (
-                method.method,
-                method.family,
-                f"{method.seen_fraction:.0%}",
-                f"{np.mean([cell.seen_step_fraction for cell in cells]):.1%}",
-                f"{np.mean([cell.longest_unseen_s for cell in cells]):.1f}",
-                *(_mean([getattr(cell, name) for cell in cells]) for name in columns),
-                f"{outside} of {len(cells)}",
-            )
-        )
+        rows.append((method.method, method.family, *seen, *errors, f"{outside} of {len(cells)}"))
     return Table(
         title=f"{_where(comparison, protocol)}: what was seen, and whether the filter knows its errors",
         note="Means over cells. Seen: targets that were really measured at least once; of the time: measured targets "
@@ -86,8 +81,7 @@ def scores(comparison: Comparison, protocol: str) -> Table:
     )
     values = _by_cell(comparison, protocol, lambda cell: _interval(cell.mean, cell.ci95))
     table = _table(comparison, protocol, "score per target [nat]", note, values)
-    ranked = _ranked(comparison, protocol)
-    rows = [(*row, *_overall(method)) for row, method in zip(table.rows, ranked, strict=True)]
+    rows = [(*row, *_overall(one)) for row, one in zip(table.rows, _ranked(comparison, protocol), strict=True)]
     if protocol == "surrogate":
         cells = _cells(comparison)
         rows = [*_printed("paper: model-based", MODEL_BASED, cells), *_printed("paper: PPO", MODEL_FREE, cells), *rows]
@@ -229,34 +223,19 @@ def _nees(value: float | None, band: tuple[float, float] | None) -> str:
 
 
 BY_CELL: tuple[tuple[str, str, Callable[[Summary], str]], ...] = (
-    (
-        "normalised_score by cell",
-        "0: never sees anything; 1: the omniscient planner, which knows the future.",
-        lambda cell: _number(cell.normalised_score, 3),
-    ),
-    (
-        "share of targets seen by cell",
-        "Targets that were really measured at least once.",
-        lambda cell: f"{cell.seen_fraction:.0%}",
-    ),
-    (
-        "share of the time seen, and the longest time unseen, by cell",
-        "Measured targets among all targets of all steps; the longest time [s] without a measurement of any target.",
-        lambda cell: f"{cell.seen_step_fraction:.1%}, {cell.longest_unseen_s:.1f} s",
-    ),
-    (
-        "RMSE by cell [m]",
-        "At the horizon: of all targets; of those seen at least once; of those never seen.",
-        lambda cell: " / ".join(map(_number, (cell.rmse_m, cell.rmse_seen_m, cell.rmse_unseen_m))),
-    ),
-    (
-        "NEES by cell",
-        "At the horizon: of all targets (95 % band of a filter that is right); of those seen; of those never seen. "
-        "* : outside of its own band.",
-        lambda cell: (
-            f"{_nees(cell.nees, cell.nees_band)} ({cell.nees_band[0]:.2f} to {cell.nees_band[1]:.2f}) / "
-            f"{_nees(cell.nees_seen, cell.nees_seen_band)} / {_nees(cell.nees_unseen, cell.nees_unseen_band)}"
-        ),
-    ),
-)
+    ("normalised_score by cell", "0: never sees anything; 1: the omniscient planner, which knows the future.",
+     lambda cell: _number(cell.normalised_score, 3)),
+    ("share of targets seen by cell", "Targets that were really measured at least once.",
+     lambda cell: f"{cell.seen_fraction:.0%}"),
+    ("share of the time seen, and the longest time unseen, by cell",
+     "Measured targets among all targets of all steps; the longest time [s] without a measurement of any target.",
+     lambda cell: f"{cell.seen_step_fraction:.1%}, {cell.longest_unseen_s:.1f} s"),
+    ("RMSE by cell [m]", "At the horizon: of all targets; of those seen at least once; of those never seen.",
+     lambda cell: " / ".join(map(_number, (cell.rmse_m, cell.rmse_seen_m, cell.rmse_unseen_m)))),
+    ("NEES by cell",
+     "At the horizon: of all targets (95 % band of a filter that is right); of those seen; of those never seen. "
+     "* : outside of its own band.",
+     lambda cell: f"{_nees(cell.nees, cell.nees_band)} ({cell.nees_band[0]:.2f} to {cell.nees_band[1]:.2f}) / "
+     f"{_nees(cell.nees_seen, cell.nees_seen_band)} / {_nees(cell.nees_unseen, cell.nees_unseen_band)}"),
+)  # fmt: skip
 """Title, note and text of the tables that show the summary of every method and cell."""
