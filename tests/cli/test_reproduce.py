@@ -150,7 +150,7 @@ def _check_data(data: dict) -> None:
     assert [(one["name"], one["seed"], one["epochs"]) for one in data["trainings"]] == [("paper", 0, 2)]
 
 
-def test_interrupted_it_says_how_to_go_on(
+def test_interrupted_it_says_how_to_continue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_):
@@ -158,7 +158,7 @@ def test_interrupted_it_says_how_to_go_on(
 
     monkeypatch.setattr(Fixed, "rows", interrupted)
     assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 130
-    assert "the same command goes on" in " ".join(capsys.readouterr().err.split())
+    assert "the same command continues" in " ".join(capsys.readouterr().err.split())
 
 
 def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

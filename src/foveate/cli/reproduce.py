@@ -8,7 +8,7 @@ from foveate.cli.options import option
 from foveate.errors import InputError
 
 if TYPE_CHECKING:
-    from foveate.study.comparison import Comparison
+    from foveate.evaluation.comparison import Comparison
     from foveate.study.methods import Method
     from foveate.study.study import Study
 

@@ -12,12 +12,12 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from foveate.errors import InputError
+from foveate.evaluation.comparison import Overall
 from foveate.evaluation.statistics import group_by
 from foveate.plotting.comparison import log_axis, tidy
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION, clean, new_figure, save
 from foveate.scenario.factors import Factor
-from foveate.study.comparison import Overall
 from foveate.study.robustness import ORACLE, Verdict
 
 HALO = withStroke(linewidth=2.5, foreground="white")
@@ -27,11 +27,9 @@ PANEL_POINTS = 260.0
 """Height of a panel of the Pareto figure, nearly."""
 
 FAMILIES = {
-    "trained": (BLUE, "o"),
-    "trained, refined": (PURPLE, "D"),
-    "planned": (GREEN, "s"),
-    "made by hand": (VERMILLION, "^"),
-}
+    "trained": (BLUE, "o"), "trained, refined": (PURPLE, "D"),
+    "planned": (GREEN, "s"), "made by hand": (VERMILLION, "^"),
+}  # fmt: skip
 """Colour and marker of a family of methods; another one is black."""
 
 STYLES = ((BLUE, "o", "-"), (VERMILLION, "^", "-"), (GREEN, "s", "-"), (PURPLE, "D", "-"), (ORANGE, "v", "-"))
@@ -109,33 +107,32 @@ def _spread_labels(overall: Sequence[Overall], least: float) -> list[float]:
 
 
 def robustness_figure(
-    factors: Sequence[Factor], found: Mapping[str, Sequence[Verdict]], path: Path, label: str
+    factors: Sequence[Factor], verdicts: Mapping[str, Sequence[Verdict]], path: Path, label: str
 ) -> None:
-    """Mean score with its 95 % interval against each factor; `found` has the verdicts by the factor's name, `label`
-    says what was scored.
+    """Mean score with its 95 % interval against each factor; `label` names the score.
 
-    The omniscient planner in the same world is a dashed line, never seeing anything a dotted one, and what training
-    knew a grey band. All panels share the score's axis. Raises ValueError for no factor.
+    `verdicts` are by the factor's name. The omniscient planner is a dashed line, the lower bound a dotted one, and the
+    range of training a grey band. All panels share the score's axis. Raises ValueError for no factor.
     """
     if not factors:
         raise InputError("no factor to draw: expected at least one")
-    rows = -(-len(factors) // COLUMNS)
-    columns = min(COLUMNS, len(factors))
+    rows, columns = -(-len(factors) // COLUMNS), min(COLUMNS, len(factors))
     figure = new_figure(WIDTH, 2.35 * rows + 0.5)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    names = list(dict.fromkeys(one.method for factor in factors for one in found[factor.name]))
-    by_hand_or_trained = [name for name in names if name != ORACLE]
-    styles = {**dict(zip(by_hand_or_trained, STYLES * len(names), strict=False)), ORACLE: DASHED}
+    names = dict.fromkeys(one.method for factor in factors for one in verdicts[factor.name])
+    styles = {**dict(zip((n for n in names if n != ORACLE), STYLES * len(names), strict=False)), ORACLE: DASHED}
     for axes, factor in zip(panels.flat, factors, strict=False):
-        _panel(axes, factor, found[factor.name], styles)
+        _panel(axes, factor, verdicts[factor.name], styles)
     for axes in panels.flat[len(factors) :]:
         axes.remove()
     for row in panels:
         row[0].set_ylabel(label, fontsize=9)
-    lines = {name: Line2D([], [], color=styles[name][0], marker=styles[name][1], ls=styles[name][2], lw=1.6, ms=5,
-                          label=name) for name in names}  # fmt: skip
-    floor = Line2D([], [], color=GREY, ls=":", lw=1.4, label="never sees anything")
-    entries = [*lines.values(), floor, Patch(facecolor=PALE, label="as in training")]
+    entries = []
+    for name in names:
+        color, marker, line = styles[name]
+        entries.append(Line2D([], [], color=color, marker=marker, ls=line, lw=1.6, ms=5, label=name))
+    entries.append(Line2D([], [], color=GREY, ls=":", lw=1.4, label="never sees anything"))
+    entries.append(Patch(facecolor=PALE, label="as in training"))
     figure.legend(handles=entries, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
     save(figure, path)
 
@@ -150,8 +147,7 @@ def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapp
     low, high = factor.trained
     band = (low - 0.12 * gap, high + 0.12 * gap) if is_even else (low / gap**0.12, high * gap**0.12)
     axes.axvspan(*band, color=PALE, lw=0, zorder=0)
-    for method in dict.fromkeys(one.method for one in verdicts):
-        ours = [one for one in verdicts if one.method == method]
+    for method, ours in group_by(verdicts, lambda one: one.method).items():
         color, marker, line = styles[method]
         x, mean = [one.value for one in ours], np.array([one.mean for one in ours])
         bars = None if method == ORACLE else np.abs(np.array([one.ci95 for one in ours]).T - mean)

@@ -6,23 +6,20 @@ Anything else: a subclass of `Method` with its `rows`. `examples/own_method.py` 
 """
 
 import abc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, Suite, evaluate
-from foveate.evaluation.oracle import oracle_rows
+from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import planner, planner_rows
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPO, PRESETS, adjusted
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
 from foveate.policies.heuristics import HEURISTICS, heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
-
-OnProgress = Callable[[int], None]
-"""Takes the number of episodes that are done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,13 +143,10 @@ REFINING_ITERATIONS = 15
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Size of a comparison.
+    """Size of a comparison; `scenes`: the first N of every cell; `targets`: cells with these numbers (None: all).
 
-    `learners` of the paper's suite: presets, and learners of the preset paper (PPO, where it is installed). `reference`
-    is what its methods are compared with, and what is refined: fixed before any result is seen. `starts` are those of
-    its receding-horizon planners, `cuts` shorter budgets of trainings. Of scenes, the first `scenes` of every cell are
-    taken, and only cells with this number of `targets` (None: all). `robust`: methods that are run under `factors`
-    (None: all) of robustness.
+    `reference` is what the paper's methods are compared with, and what is refined: fixed before any result is seen.
+    `cuts` shorten trainings. The methods `robust` are run under `factors` of robustness (None: all).
     """
 
     quick: bool = False
@@ -168,19 +162,12 @@ class Budget:
 
 
 FULL = Budget(cuts={})
-
+# As many sizes as two cores compile side by side, and factors that need no further program: compilation is most of it.
 QUICK = Budget(
-    quick=True,
-    learners=("paper", "ppo"),
-    reference="paper",
+    quick=True, seeds=(0,), scenes=3, targets=(3, 5), learners=("paper", "ppo"), reference="paper", starts=(),
     cuts={"paper": {"epochs": 300}, "ppo": {"steps": 40_000}, TRUE_VIEW: {"epochs": 40}},
-    starts=(),
-    seeds=(0,),
-    scenes=3,
-    targets=(3, 5),  # as many sizes as two cores compile side by side: compilation is most of a quick look
-    factors=("V", "depth"),  # these need no further program
-    robust=(TRUE_VIEW, "uncertain", "nearest"),
-)
+    factors=("V", "depth"), robust=(TRUE_VIEW, "uncertain", "nearest"),
+)  # fmt: skip
 
 
 def paper_methods(budget: Budget) -> tuple[Method, ...]:
@@ -191,21 +178,26 @@ def paper_methods(budget: Budget) -> tuple[Method, ...]:
         *(Learned(name=name, training=training) for name, training in trainings.items()),
         _refined(trainings[budget.reference]),
         Planned(name="icr", plans=dict.fromkeys(PROTOCOLS, PUBLISHED)),
-        *(_online(starts) for starts in budget.starts),
-        *(_heuristic(name) for name in HEURISTICS),
+        *map(_online, budget.starts),
+        *map(_heuristic, HEURISTICS),
     )
 
 
 def true_view_methods(budget: Budget) -> tuple[Method, ...]:
     """Methods of the suite in which a target counts only when it is really seen."""
-    trainings = {name: _training(name, budget) for name in ("paper", TRUE_VIEW)}
-    slow = (_refined(trainings[TRUE_VIEW]), Planned(name="icr", plans={"true": PUBLISHED}), _online(16))
-    return (
-        Omniscient(),
-        *(Learned(name=name, training=training) for name, training in trainings.items()),
-        *(() if budget.quick else slow),
-        *(_heuristic(name) for name in HEURISTICS),
-    )
+    paper, ours = _training("paper", budget), _training(TRUE_VIEW, budget)
+    learned = (Learned(name="paper", training=paper), Learned(name=TRUE_VIEW, training=ours))
+    slow = (_refined(ours), Planned(name="icr", plans={"true": PUBLISHED}), _online(16))
+    return (Omniscient(), *learned, *(() if budget.quick else slow), *map(_heuristic, HEURISTICS))
+
+
+def check_rows(rows: Sequence[Row], suite: Suite, method: str, protocol: str) -> None:
+    """Raise ValueError unless there is one row an episode of the suite, of this method and protocol."""
+    expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
+    if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
+        raise InputError(f"method {method}: gave {len(rows)} rows: expected one an episode of the suite")
+    if {(row.method, row.protocol) for row in rows} - {(method, protocol)}:
+        raise InputError(f"method {method}: its rows name another method or protocol than {protocol}")
 
 
 def can_train(name: str) -> bool:
@@ -214,16 +206,14 @@ def can_train(name: str) -> bool:
 
 
 def _training(name: str, budget: Budget) -> Training:
-    learner = name if name in PPO else None
-    experiment = adjusted(PRESETS["paper" if learner else name], learner, **budget.cuts.get(name, {}))
-    return Training(name=name, experiment=experiment)
+    learner, preset = (name, "paper") if name in PPO else (None, name)
+    return Training(name=name, experiment=adjusted(PRESETS[preset], learner, **budget.cuts.get(name, {})))
 
 
 def _refined(training: Training) -> Planned:
     """A trained policy, improved by a planner at every step."""
-    name = f"refine-{REFINING_ITERATIONS}"
     plans = {protocol: refining(protocol, REFINING_ITERATIONS) for protocol in PROTOCOLS}
-    return Planned(name=name, family="trained, refined", training=training, plans=plans)
+    return Planned(name=f"refine-{REFINING_ITERATIONS}", family="trained, refined", training=training, plans=plans)
 
 
 def _online(starts: int) -> Planned:

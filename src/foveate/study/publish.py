@@ -1,12 +1,13 @@
 """The results of a study as files: table.md, table.json and figures."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from foveate.evaluation.bounds import lower_bounds
+from foveate.evaluation.comparison import Comparison, as_json, compare
 from foveate.evaluation.evaluate import prepare
 from foveate.evaluation.statistics import group_by
 from foveate.experiment.presets import PPO
@@ -16,14 +17,13 @@ from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest
 from foveate.plotting.animation import animate
-from foveate.plotting.comparison import duel_figure, learning_curves
+from foveate.plotting.comparison import Curves, duel_figure, learning_curves
 from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.scenario.scenes import Scene
 from foveate.study import robustness
-from foveate.study.comparison import Comparison, as_json, compare
 from foveate.study.figures import pareto_figure, robustness_figure
 from foveate.study.methods import Acting, Benchmark, can_train
-from foveate.study.run import Results, trained_policy
+from foveate.study.run import Results, Trained, trained_policy
 from foveate.study.study import Study, benchmark_of
 from foveate.study.tables import tables, worlds
 
@@ -31,7 +31,6 @@ VERSION = 1
 """Of the files of comparisons."""
 
 TABLE, DATA, EPISODES = "table.md", "table.json", "episodes"
-"""The files of the tables, and the folder of animations."""
 
 RIVAL = "ppo"
 """The reference is drawn beside it; where it is missing, beside the best heuristic."""
@@ -40,12 +39,10 @@ RIVAL = "ppo"
 def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     """Write all files into the folder `out`, and give what they show: a comparison for each first error."""
     page = _Page(study=study, out=out, results=results, benchmark=benchmark_of(study, study.initial_errors[0]))
-    problem = page.benchmark.suite.problem
-    lowest = lower_bounds(problem, page.benchmark.suite.scenes)
+    suite = page.benchmark.suite
+    lowest, state_size = lower_bounds(suite.problem, suite.scenes), suite.problem.motion.state_size
     by_error = group_by(results.parts, lambda part: part.initial_error)
-    comparisons = [
-        compare(by_error[error], study.reference, lowest, problem.motion.state_size) for error in study.initial_errors
-    ]
+    comparisons = [compare(parts, study.reference, lowest, state_size) for parts in by_error.values()]
     write_document(out / DATA, "comparison", VERSION, as_json(comparisons, page.facts()))
     figures = dict(page.figures(comparisons[0]))
     if study.suite == "true-view" and not study.quick:
@@ -80,12 +77,7 @@ class _Page:
         pareto_figure(comparison.overall, out / "pareto.png")
         yield "pareto.png", "Score against the time of a decision"
         if self.results.trained:
-            runs = group_by(self.results.trained, lambda one: one.name)
-            learners = {
-                name: (each[0].experiment.training.select, [read_validations(one.run / METRICS) for one in each])
-                for name, each in runs.items()
-            }
-            learning_curves(learners, out / "learning.png")
+            learning_curves(_learners(self.results.trained), out / "learning.png")
             yield "learning.png", "Held-out score against environment steps and time: mean over seeds, worst to best"
         for protocol in study.protocols:
             if (rival := self._rival(comparison, protocol)) is not None:
@@ -99,11 +91,11 @@ class _Page:
     def _robustness(self) -> None:
         study, points = self.study, self.results.points
         verdicts = {factor.name: robustness.verdicts(factor, points) for factor in study.factors}
-        label = f"{study.protocols[0]} score [nat per target]"
-        robustness_figure(study.factors, verdicts, self.out / "robustness.png", label)
-        facts = {**self.facts(), "protocol": study.protocols[0], "initial_error": study.initial_errors[0]}
-        content = robustness.as_json(study.factors, points, facts)
-        write_document(self.out / "robustness.json", "robustness", VERSION, content)
+        protocol, error = study.protocols[0], study.initial_errors[0]
+        robustness_figure(study.factors, verdicts, self.out / "robustness.png", f"{protocol} score [nat per target]")
+        facts = {**self.facts(), "protocol": protocol, "initial_error": error}
+        data = robustness.as_json(study.factors, points, facts)
+        write_document(self.out / "robustness.json", "robustness", VERSION, data)
 
     def animations(self, comparison: Comparison) -> None:
         """Animate the reference's best and worst scene of every cell, by its first training seed."""
@@ -177,3 +169,11 @@ class _Page:
             "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
             "versions": f"foveate {made['foveate']}, jax {made['jax']}, {made['device']}, {os.cpu_count()} cores",
         }
+
+
+def _learners(trained: Sequence[Trained]) -> dict[str, Curves]:
+    """The trainings of each learner, and the protocol that selects its best policy."""
+    return {
+        name: (group[0].experiment.training.select, [read_validations(one.run / METRICS) for one in group])
+        for name, group in group_by(trained, lambda one: one.name).items()
+    }

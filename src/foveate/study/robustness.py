@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import jax
 import numpy as np
 
 from foveate.evaluation.bounds import lower_bounds, normalised_score
-from foveate.evaluation.evaluate import prepare, simulate
-from foveate.evaluation.metrics import measures
+from foveate.evaluation.evaluate import prepare, rows_of, simulate
 from foveate.evaluation.statistics import group_by, mean_interval, paired
 from foveate.experiment.experiment import Experiment
 from foveate.scenario.factors import Factor
@@ -78,15 +76,12 @@ def measure(method: Method, benchmark: Benchmark, protocol: str, policy: Policy 
     (floor,) = lower_bounds(suite.problem, suite.scenes).values()
     if isinstance(method, Acting):
         acting = method.policy(benchmark.experiment, policy)
-        trace, truth = simulate(suite, acting, PROTOCOLS[protocol], len(suite.scenes)), np.asarray(suite.truth.state)
-        rows = [
-            measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene)
-            for i, scene in enumerate(suite.scenes)
-        ]
+        trace = simulate(suite, acting, PROTOCOLS[protocol], len(suite.scenes))
+        rows = rows_of(suite, method.name, protocol, trace, [0.0] * len(suite.scenes))
     else:
-        rows = [asdict(row) for row in method.rows(benchmark, protocol, policy, lambda done: None)]
-    scores = [row["score"] for row in rows if row["score"] is not None]
-    return {"floor": floor, "scores": scores, "seen": [row["seen_fraction"] for row in rows]}
+        rows = method.rows(benchmark, protocol, policy, lambda done: None)
+    scores = [row.score for row in rows if row.score is not None]
+    return {"floor": floor, "scores": scores, "seen": [row.seen_fraction for row in rows]}
 
 
 def verdicts(factor: Factor, points: Sequence[Point]) -> list[Verdict]:

@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,9 @@ from typing import Any, NamedTuple
 
 from foveate import __version__
 from foveate.errors import InputError
-from foveate.evaluation.evaluate import Row, Suite
+from foveate.evaluation.comparison import Part
+from foveate.evaluation.evaluate import Row
+from foveate.evaluation.statistics import group_by
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
@@ -26,8 +28,7 @@ from foveate.io.toml import digest
 from foveate.learning.train import train
 from foveate.scenario.factors import Factor
 from foveate.simulation.records import Policy
-from foveate.study.comparison import Part
-from foveate.study.methods import Benchmark, Method, Training
+from foveate.study.methods import Benchmark, Method, Training, check_rows
 from foveate.study.robustness import Point, measure
 from foveate.study.study import InitialError, Study, benchmark_of, changed_benchmarks
 
@@ -72,7 +73,7 @@ def reproduce(
     is at work in `out`.
     """
     (out / JOBS).mkdir(parents=True, exist_ok=True)
-    records = []
+    records: list[Any] = []
     with sole_writer(out):
         for done, job in enumerate(jobs(study, out, say)):
 
@@ -81,18 +82,21 @@ def reproduce(
 
             note("beginning")
             records += job.result(note, on_rejected=say)
-    return Results(
-        [record for record in records if isinstance(record, Part)],
-        [record for record in records if isinstance(record, Trained)],
-        [record for record in records if isinstance(record, Point)],
-    )
+    by_kind = group_by(records, type)
+    return Results(by_kind.get(Part, []), by_kind.get(Trained, []), by_kind.get(Point, []))
 
 
 def jobs(study: Study, out: Path, say: Say = lambda line: None) -> list[Job[Any]]:
     """All jobs in the order in which they are done: a training comes before the first job that needs it."""
-    factory = _Factory(study=study, out=out, say=say)
-    ordered: dict[Path, Job[Any]] = {}
-    for method, seed, job in factory.jobs():
+    factory, ordered = _Factory(study=study, out=out, say=say), dict[Path, Job[Any]]()
+    policies = [(method, seed) for method in study.methods for seed in study.seeds_of(method)]
+    work = [
+        (*policy, factory.rows(*policy, protocol, error))
+        for policy in policies for error in study.initial_errors for protocol in study.protocols
+    ]  # fmt: skip
+    robust = [(method, seed) for method, seed in policies if method.name in study.robust]
+    work += [(*policy, factory.points(*policy, factor)) for factor in study.factors for policy in robust]
+    for method, seed, job in work:
         if method.training is not None and seed is not None:
             training = factory.training(method.training, seed)
             ordered.setdefault(training.path, training)
@@ -115,6 +119,9 @@ class _Factory:
     out: Path
     say: Say
 
+    def _job(self, file: str, **fields: Any) -> Job[Any]:
+        return Job(path=self.out / JOBS / file, kind="unit", version=VERSION, **fields)
+
     @cached_property
     def benchmarks(self) -> dict[InitialError | None, Benchmark]:
         return {error: benchmark_of(self.study, error) for error in self.study.initial_errors}
@@ -122,22 +129,6 @@ class _Factory:
     @cached_property
     def changed(self) -> dict[str, dict[float, Benchmark]]:
         return {factor.name: changed_benchmarks(self.study, factor) for factor in self.study.factors}
-
-    def _job(self, file: str, **fields: Any) -> Job[Any]:
-        return Job(path=self.out / JOBS / file, kind="unit", version=VERSION, **fields)
-
-    def jobs(self) -> Iterator[tuple[Method, int | None, Job[Any]]]:
-        """All but trainings, with method and training seed: on the suite, then in changed scenarios."""
-        study = self.study
-        policies = [(method, seed) for method in study.methods for seed in study.seeds_of(method)]
-        for method, seed in policies:
-            for error in study.initial_errors:
-                for protocol in study.protocols:
-                    yield method, seed, self.rows(method, seed, protocol, error)
-        for factor in study.factors:
-            for method, seed in policies:
-                if method.name in study.robust:
-                    yield method, seed, self.points(method, seed, factor)
 
     def training(self, training: Training, seed: int) -> Job[Any]:
         """The training of a policy, into its own run folder."""
@@ -197,7 +188,7 @@ class _Factory:
             benchmark, policy = self.benchmarks[error], trained_policy(self.out, method, seed)
             total = len(benchmark.suite.scenes)
             rows = method.rows(benchmark, protocol, policy, lambda done: note(f"{done} of {total} episodes"))
-            _check(rows, benchmark.suite, method.name, protocol)
+            check_rows(rows, benchmark.suite, method.name, protocol)
             return records(rows)
 
         return self._job(
@@ -216,10 +207,8 @@ class _Factory:
         def compute(note: Say) -> list[Point]:
             policy, points = trained_policy(self.out, method, seed), []
             for value, benchmark in self.changed[factor.name].items():
-                measured = measure(method, benchmark, protocol, policy)
-                points.append(
-                    Point(factor=factor.name, value=value, method=method.name, training_seed=seed, **measured)
-                )
+                about = {"factor": factor.name, "value": value, "method": method.name, "training_seed": seed}
+                points.append(Point(**about, **measure(method, benchmark, protocol, policy)))
                 note(f"{len(points)} of {len(factor.values)} scenarios")
             return points
 
@@ -241,30 +230,21 @@ class _Factory:
             "protocol": protocol,
         }
         if method.training is None or seed is None:
-            return _digest(words)
+            return _digest(**words)
         # Rows are those of the very weights that lie there: the same training may give others on another machine.
         weights = (self.out / TRAININGS / f"{method.training.name}-{seed}" / BEST).read_bytes()
-        key = _digest({**words, "training": _training_key(method.training, seed)})
+        key = _digest(**words, training=_training_key(method.training, seed))
         return f"{key}-{hashlib.sha256(weights).hexdigest()[:16]}"
 
 
 def _training_key(training: Training, seed: int) -> str:
-    return _digest({"experiment": digest(training.experiment), "seed": seed})
+    return _digest(experiment=digest(training.experiment), seed=seed)
 
 
-def _digest(words: dict[str, Any]) -> str:
+def _digest(**words: Any) -> str:
     text = json.dumps({"foveate": __version__, "version": VERSION, **words}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _label(method: Method, seed: int | None) -> str:
     return method.name if seed is None else f"{method.name}-{seed}"
-
-
-def _check(rows: Sequence[Row], suite: Suite, method: str, protocol: str) -> None:
-    """Raise ValueError unless there is one row an episode of the suite, of this method and protocol."""
-    expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
-    if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
-        raise InputError(f"method {method}: gave {len(rows)} rows: expected one an episode of the suite")
-    if {(row.method, row.protocol) for row in rows} - {(method, protocol)}:
-        raise InputError(f"method {method}: its rows name another method or protocol than {protocol}")

@@ -13,17 +13,7 @@ from foveate.experiment.resolve import with_initial_error
 from foveate.scenario.factors import FACTORS, Factor
 from foveate.simulation.records import PROTOCOLS
 from foveate.simulation.suites import SUITE_SEED, table1
-from foveate.study.methods import (
-    FULL,
-    QUICK,
-    TRUE_VIEW,
-    Benchmark,
-    Budget,
-    Method,
-    Training,
-    paper_methods,
-    true_view_methods,
-)
+from foveate.study.methods import FULL, QUICK, TRUE_VIEW, Benchmark, Budget, Method, paper_methods, true_view_methods
 from foveate.study.robustness import changed_benchmark
 
 InitialError = Literal["paper", "consistent"]
@@ -58,10 +48,10 @@ class Study:
         names = [method.name for method in self.methods]
         if twice := [name for name in names if names.count(name) > 1]:
             raise InputError(f"method {twice[0]}: is given twice: expected one method a name")
-        trainings: dict[str, Training] = {}
-        for training in (method.training for method in self.methods if method.training is not None):
-            if trainings.setdefault(training.name, training) != training:
-                raise InputError(f"training {training.name}: means two experiments: give each its own name")
+        trainings = group_by((m.training for m in self.methods if m.training is not None), lambda each: each.name)
+        for name, same in trainings.items():
+            if any(training != same[0] for training in same):
+                raise InputError(f"training {name}: means two experiments: give each its own name")
         for name in (*names, *trainings):
             if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]*", name):
                 raise InputError(f"method or training {name!r}: expected letters, digits, and . _ - within")
@@ -82,28 +72,24 @@ class Study:
 def paper_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
     """The paper's suite, with further `methods`; the quick one has one seed, short trainings and few scenes."""
     budget = QUICK if quick else FULL
-    own = {"methods": (*paper_methods(budget), *methods), "reference": budget.reference}
-    return Study(**{**own, **_size(budget), **changes})
+    every = (*paper_methods(budget), *methods)
+    return Study(methods=every, reference=budget.reference, **_sizes(budget, changes))
 
 
 def true_view_study(quick: bool = False, methods: tuple[Method, ...] = (), **changes: Any) -> Study:
     """The true field of view, with both first errors, and in scenarios that differ by one factor."""
     budget = QUICK if quick else FULL
-    own = {
-        "methods": (*true_view_methods(budget), *methods),
-        "reference": TRUE_VIEW,
-        "suite": "true-view",
-        "protocols": ("true",),
-        "initial_errors": ("paper", "consistent"),
-        "factors": tuple(factor for factor in FACTORS if budget.factors is None or factor.name in budget.factors),
-        "robust": budget.robust,
-    }
-    return Study(**{**own, **_size(budget), **changes})
+    return Study(
+        methods=(*true_view_methods(budget), *methods), reference=TRUE_VIEW, suite="true-view", protocols=("true",),
+        initial_errors=("paper", "consistent"), robust=budget.robust,
+        factors=tuple(factor for factor in FACTORS if budget.factors is None or factor.name in budget.factors),
+        **_sizes(budget, changes),
+    )  # fmt: skip
 
 
-def _size(budget: Budget) -> dict[str, Any]:
-    size = {"scenes_per_cell": budget.scenes, "targets": budget.targets}
-    return {"quick": budget.quick, "seeds": budget.seeds, **size}
+def _sizes(budget: Budget, changes: dict[str, Any]) -> dict[str, Any]:
+    cells = {"scenes_per_cell": budget.scenes, "targets": budget.targets}
+    return {"quick": budget.quick, "seeds": budget.seeds, **cells, **changes}
 
 
 def benchmark_of(study: Study, initial_error: InitialError | None = None) -> Benchmark:

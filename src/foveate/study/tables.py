@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from foveate.evaluation.bounds import Cell
+from foveate.evaluation.comparison import Comparison, Difference, Overall
 from foveate.evaluation.statistics import group_by
 from foveate.evaluation.summary import Summary
 from foveate.io.tables import Table
 from foveate.scenario.factors import Factor
-from foveate.study.comparison import Comparison, Difference, Overall
 from foveate.study.robustness import ORACLE, Point, Verdict, verdicts
 
 SIGNIFICANT = 0.05
@@ -65,11 +65,11 @@ def honesty(comparison: Comparison, protocol: str) -> Table:
         "at the horizon, of all targets, of those seen and of those never seen; NEES is the state's length where the "
         "filter is honest, more where it is too sure. Outside: cells whose NEES lies outside of its 95 % band.",
         header=(
-            *("method", "kind", "seen", "of the time", "longest [s]"),
-            *("rmse [m]", "of the seen", "of the never seen", "NEES", "of the seen", "of the never seen", "outside"),
+            "method", "kind", "seen", "of the time", "longest [s]", "rmse [m]", "of the seen", "of the never seen",
+            "NEES", "of the seen", "of the never seen", "outside",
         ),
         rows=tuple(rows),
-    )
+    )  # fmt: skip
 
 
 def scores(comparison: Comparison, protocol: str) -> Table:
@@ -90,6 +90,10 @@ def scores(comparison: Comparison, protocol: str) -> Table:
 
 def differences(comparison: Comparison, protocol: str) -> Table:
     """Every method less the reference, in the same scenes."""
+
+    def text(one: Difference) -> str:
+        return _interval(one.mean, one.ci95, "+") + "*" * (one.p_holm < SIGNIFICANT)
+
     ours = [one for one in comparison.differences if one.protocol == protocol]
     return _table(
         comparison,
@@ -97,7 +101,7 @@ def differences(comparison: Comparison, protocol: str) -> Table:
         f"difference to {comparison.reference} in the same scenes [nat]",
         "Mean of the differences ± half of its 95 % interval (Student), scenes paired. * : p < 0.05 of Wilcoxon's "
         "signed-rank test after Holm's correction for the cells of a row; all p values are in table.json.",
-        {(one.method, (one.motion, one.targets)): _difference(one) for one in ours},
+        {(one.method, (one.motion, one.targets)): text(one) for one in ours},
     )
 
 
@@ -179,10 +183,6 @@ def _ranked(comparison: Comparison, protocol: str) -> list[Overall]:
 
 def _interval(mean: float, ci95: tuple[float, float], sign: str = "") -> str:
     return f"{mean:{sign}.2f} ± {(ci95[1] - ci95[0]) / 2:.2f}"
-
-
-def _difference(one: Difference) -> str:
-    return _interval(one.mean, one.ci95, "+") + "*" * (one.p_holm < SIGNIFICANT)
 
 
 def _verdict(one: Verdict) -> str:
