@@ -32,9 +32,9 @@ class NearAndUncertain(Steering):
         return position[choice], observation.present.any(), memory
 
 
-def make(world: Experiment) -> Policy:
-    """The policy for a world: it stands off by half the depth of the view."""
-    return NearAndUncertain(world.scenario.problem(), 0.5 * float(world.scenario.view.depth_m))
+def make(experiment: Experiment) -> Policy:
+    """Build the policy for an experiment: it stands off by half the depth of the view."""
+    return NearAndUncertain(experiment.scenario.problem(), 0.5 * float(experiment.scenario.view.depth_m))
 
 
 METHOD = Fixed(name="near-uncertain", make=make)

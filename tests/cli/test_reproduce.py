@@ -1,4 +1,4 @@
-"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite that takes seconds."""
+"""`foveate reproduce` and `evaluate --normalised` as a user meets them, on a suite that takes seconds."""
 
 import json
 import math
@@ -179,7 +179,7 @@ def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
     row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
     scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
-    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--normalised_score"]
+    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--normalised"]
     assert main(["evaluate", "paper", *arguments, "--json", str(out)]) == 0
     plan = tmp_path / "plan.json"
     options = ["--omniscient", "--starts", "1", "--iterations", "2", "--protocol", "true"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from threading import Lock
 
 import jax
@@ -54,14 +55,14 @@ def planner_rows(
     suites = {size: prepare(suite.problem, settings, scenes, suite.seed, episodes) for size, scenes in sizes.items()}
     done, lock = dict.fromkeys(sizes, 0), Lock()
 
-    def run(size: Size) -> Trace:
-        def report(count: int) -> None:
-            with lock:
-                done[size] = count
-                on_progress(sum(done.values()))
+    def report(size: Size, count: int) -> None:
+        with lock:
+            done[size] = count
+            on_progress(sum(done.values()))
 
+    def run(size: Size) -> Trace:
         chunk = min(MICRO_BATCH, len(sizes[size]) * episodes)
-        return simulate(suites[size], policy_of(size[1]), PROTOCOLS[protocol], chunk, report)
+        return simulate(suites[size], policy_of(size[1]), PROTOCOLS[protocol], chunk, partial(report, size))
 
     with ThreadPoolExecutor(cores()) as pool:  # compilation, most of the wait, runs side by side
         traces = dict(zip(sizes, pool.map(run, sizes), strict=True))
