@@ -21,7 +21,7 @@ _HOMES = {
     "AttentionSettings": "policies.attention",
     "BallView": "scenario.field_of_view",
     "Belief": "deploy.belief",
-    "Bench": "study.methods",
+    "Benchmark": "study.methods",
     "ConeView": "scenario.field_of_view",
     "DifferentialDrive": "scenario.agent",
     "DriftTarget": "scenario.target",

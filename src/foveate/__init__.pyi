@@ -64,7 +64,7 @@ from foveate.simulation.records import Trace as Trace
 from foveate.simulation.rollout import rollout as rollout
 from foveate.simulation.suites import own_suite as own_suite
 from foveate.simulation.suites import table1 as table1
-from foveate.study.methods import Bench as Bench
+from foveate.study.methods import Benchmark as Benchmark
 from foveate.study.methods import Fixed as Fixed
 from foveate.study.methods import Learned as Learned
 from foveate.study.methods import Method as Method

@@ -1,4 +1,4 @@
-"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite and a training that take seconds."""
+"""`foveate reproduce` and `evaluate --normalised` as a user meets them, on a suite that takes seconds."""
 
 import json
 import math
@@ -9,7 +9,7 @@ import pytest
 from cli.test_cli import check_contract, failure
 
 from foveate.cli.main import main
-from foveate.evaluation import bounds as normalised_score
+from foveate.evaluation import oracle
 from foveate.experiment.presets import PRESETS
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
@@ -17,7 +17,6 @@ from foveate.policies.heuristics import heuristic
 from foveate.simulation.suites import suite
 from foveate.study import publish as publication
 from foveate.study import study
-from foveate.study.comparison import compare
 from foveate.study.methods import Fixed, Learned, Training
 from foveate.study.run import reproduce
 
@@ -44,8 +43,8 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ceiling = Fixed(name="omniscient", family="omniscient", make=nearest)
     methods = (ceiling, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
     monkeypatch.setattr(study, "table1", scenes)
-    monkeypatch.setattr(study, "paper_methods", lambda quick: methods)
-    monkeypatch.setattr(normalised_score, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
+    monkeypatch.setattr(study, "paper_methods", lambda budget: methods)
+    monkeypatch.setattr(oracle, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XLA_FLAGS", "")
 
@@ -78,12 +77,12 @@ def test_reproduce_for_the_true_view(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Both first errors, the true protocol alone, a world that differs; the contract holds."""
-    ceiling, learned = study.paper_methods(True)
+    ceiling, learned = study.paper_methods(study.QUICK)
     uncertain = Fixed(name="uncertain", make=lambda world: heuristic("uncertain", world.scenario.problem(), 2.0))
     methods = (ceiling, replace(learned, name=study.TRUE_VIEW), uncertain)
-    monkeypatch.setattr(study, "true_view_methods", lambda quick: methods)
+    monkeypatch.setattr(study, "true_view_methods", lambda budget: methods)
     monkeypatch.setattr(study, "FACTORS", tuple(replace(one, values=one.values[1:3]) for one in study.FACTORS))
-    monkeypatch.setattr(study, "QUICK_FACTORS", ("V",))
+    monkeypatch.setattr(study, "QUICK", replace(study.QUICK, factors=("V",)))
     out = tmp_path / "out"
     assert main(["reproduce", "--suite", "true-view", "--quick", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -117,12 +116,9 @@ def _check_moving_pictures(out: Path, rows: list[dict], monkeypatch: pytest.Monk
     monkeypatch.setattr(
         publication, "animate", lambda film, path: filmed.update({path.name: film.title.split(", ")[1]})
     )
-    asked = study.true_view_study(True)
-    bench = study.bench_of(asked, "paper")
+    asked = replace(study.true_view_study(True), quick=False)
     results = reproduce(asked, out, lambda *_: None, lambda *_: None)
-    parts = [part for part in results.parts if part.initial_error == "paper"]
-    lowest = normalised_score.lower_bounds(bench.suite.problem, bench.suite.scenes)
-    publication._episodes(asked, bench, out, compare(parts, asked.reference, lowest, 2))
+    publication.publish(asked, out, results)
     for motion in ("unbiased", "biased"):
         told = {
             row["scene"]: row["score"]
@@ -154,7 +150,7 @@ def _check_data(data: dict) -> None:
     assert [(one["name"], one["seed"], one["epochs"]) for one in data["trainings"]] == [("paper", 0, 2)]
 
 
-def test_interrupted_it_says_how_to_go_on(
+def test_interrupted_it_says_how_to_continue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_):
@@ -162,7 +158,7 @@ def test_interrupted_it_says_how_to_go_on(
 
     monkeypatch.setattr(Fixed, "rows", interrupted)
     assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 130
-    assert "the same command goes on" in " ".join(capsys.readouterr().err.split())
+    assert "the same command continues" in " ".join(capsys.readouterr().err.split())
 
 
 def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -183,7 +179,7 @@ def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
     row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
     scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))
-    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--normalised_score"]
+    arguments = ["--scenes", str(scenes), "--method", "nearest", "--protocol", "true", "--normalised"]
     assert main(["evaluate", "paper", *arguments, "--json", str(out)]) == 0
     plan = tmp_path / "plan.json"
     options = ["--omniscient", "--starts", "1", "--iterations", "2", "--protocol", "true"]

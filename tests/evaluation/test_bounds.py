@@ -1,147 +1,42 @@
-"""The floor by hand, the omniscient planner against every other method on its own problem, plans kept by content."""
+"""Lower bounds against closed forms, and the normalised score between its two ends."""
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.evaluation import bounds as yardstick
-from foveate.evaluation.bounds import floor, normalised_score, omniscient, omniscient_rows
-from foveate.evaluation.evaluate import episode_rows, evaluate_traces, prepare
-from foveate.evaluation.summary import summarise
-from foveate.planning.shooting import PAPER, PlanSettings
-from foveate.policies.heuristics import heuristic
+from foveate.evaluation.bounds import lower_bounds, normalised_score, unseen_scores
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene
-from foveate.scenario.sensor import ScheduleSettings
-from foveate.simulation.records import TRUE
+from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 
 SCENARIO = Scenario()
-PROBLEM = SCENARIO.problem()
-STILL = ((0.0, 0.0),) * 2
-SCENES = [
-    Scene(id="a", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-2.0, 2.0)), drift=STILL, horizon=5),
-    Scene(id="b", agent=(1.0, 0.0, 0.0), targets=((3.0, -1.0),), drift=((0.3, 0.0),), horizon=3),
-    Scene(id="c", agent=(0.0, 1.0, 2.0), targets=((-1.0, -1.0), (2.0, 4.0)), drift=STILL, horizon=5),
-    Scene(id="none", agent=(0.0, 0.0, 0.0), targets=(), drift=(), horizon=3),
-]
-FEW = PlanSettings(starts=8, iterations=20)
 
 
-@pytest.fixture(scope="module")
-def suite():
-    return prepare(PROBLEM, SCENARIO.scenes, SCENES, seed=1)
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache") / "plans"
-
-
-@pytest.fixture(scope="module")
-def plans(suite, cache):
-    done = []
-    found = omniscient(suite, "true", FEW, cache, done.append)
-    assert not found.cached
-    assert done[-1] == len(SCENES)
-    assert done == sorted(done)
-    return found
-
-
-def test_floor_is_the_score_of_one_who_sees_nothing():
+def test_lower_bound_is_the_score_of_prediction_alone():
     covariance = 2.0 + 0.05**2 * np.array([3, 9, 21])
-    np.testing.assert_allclose(floor(PROBLEM, [3, 9, 21]), -2 * np.log(covariance), rtol=1e-12)
+    np.testing.assert_allclose(unseen_scores(SCENARIO.problem(), [3, 9, 21]), -2 * np.log(covariance), rtol=1e-12)
     growing = ScheduleSettings(W=(((1.0, 0.0), (0.0, 1.0)), ((3.0, 0.0), (0.0, 3.0))))
     scheduled = replace(SCENARIO, schedule=growing).problem()
-    np.testing.assert_allclose(floor(scheduled, [1, 4]), -2 * np.log([2 + 1, 2 + 1 + 3 + 1 + 3]), rtol=1e-12)
+    np.testing.assert_allclose(unseen_scores(scheduled, [1, 4]), -2 * np.log([2 + 1, 2 + 1 + 3 + 1 + 3]), rtol=1e-12)
     assert normalised_score(-1.4, -1.4, 8.0) == 0.0
     assert normalised_score(8.0, -1.4, 8.0) == 1.0
     assert normalised_score(3.3, -1.4, 8.0) == pytest.approx(0.5)
 
 
-def test_rows_are_those_of_an_evaluation(suite, plans):
-    rows = omniscient_rows(suite, "true", plans)
-    assert [row.scene for row in rows] == [scene.id for scene in SCENES]
-    assert {row.method for row in rows} == {"omniscient"}
-    assert rows[3].score is None
-    np.testing.assert_allclose([row.score for row in rows[:3]], plans.score[:3], rtol=1e-12)
-    trace = yardstick._drive(PROBLEM, jnp.asarray(plans.action), suite.episodes, TRUE, yardstick.policy_keys(suite))
-    driven = episode_rows(
-        suite, "omniscient", "true", jax.tree.map(np.asarray, trace), [row.step_time_s for row in rows]
-    )
-    for row, real in zip(rows, driven, strict=True):
-        # What the filter that really runs earns on the way: under `true` the very score that was planned.
-        if row.targets:
-            assert (row.score, row.entropy) == pytest.approx((real.score, real.entropy), rel=1e-9)
-        assert replace(row, score=None, entropy=None) == replace(real, score=None, entropy=None)
-    assert all(np.abs(plans.action).max(axis=(1, 2)) <= 1)
-    summarise(rows, 2)
+def test_missed_detections_have_no_lower_bound():
+    scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=3)
+    with pytest.raises(ValueError, match="normalised_score is of a filter"):
+        lower_bounds(Scenario(sensor=SensorSettings(missed_detections="used")).problem(), [scene])
 
 
-def test_a_policy_does_not_beat_the_omniscient(suite, plans):
-    trace = evaluate_traces(suite, heuristic("nearest", PROBLEM, 2.0), TRUE, chunk=4)
-    scores = [row.score for row in episode_rows(suite, "nearest", "true", trace, [0.0] * 4)[:3]]
-    assert (plans.score[:3] >= np.array(scores) - 1e-9).all()
-    assert (plans.score[:3] > floor(PROBLEM, [5, 3, 5])).all()
-
-
-def test_kept_plans_come_back(suite, plans, cache, monkeypatch):
-    monkeypatch.setattr(yardstick, "_solve_all", None)
-    again = omniscient(suite, "true", FEW, cache)
-    assert again.cached
-    for name in ("action", "score", "seconds"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(plans, name))
-
-
-def test_anything_else_is_planned_anew(suite, plans, cache, monkeypatch):
-    called = []
-
-    def solve_all(suite, futures, settings, report):
-        called.append(settings)
-        return np.zeros_like(plans.action), np.zeros_like(plans.seconds)
-
-    monkeypatch.setattr(yardstick, "_solve_all", solve_all)
-    moved = [replace(SCENES[0], agent=(0.0, 0.0, 0.6)), *SCENES[1:]]
-    renamed = [replace(SCENES[0], id="x"), *SCENES[1:]]
-    louder = replace(SCENARIO, sensor=replace(SCENARIO.sensor, std_m=0.3)).problem()
-    wider = replace(SCENARIO, view=replace(SCENARIO.view, angle_deg=100.0)).problem()
-    others = [
-        (prepare(PROBLEM, SCENARIO.scenes, moved, seed=1), "true", FEW),
-        (prepare(PROBLEM, SCENARIO.scenes, renamed, seed=1), "true", FEW),
-        (prepare(PROBLEM, SCENARIO.scenes, SCENES, seed=2), "true", FEW),
-        (prepare(louder, SCENARIO.scenes, SCENES, seed=1), "true", FEW),
-        (prepare(wider, SCENARIO.scenes, SCENES, seed=1), "true", FEW),
-        (suite, "surrogate", FEW),
-        (suite, "true", replace(FEW, iterations=21)),
-        (suite, "true", replace(FEW, keep=PAPER)),
+def test_lower_bounds_are_means_over_the_scenes_of_a_cell():
+    problem = Scenario().problem()
+    scenes = [
+        Scene(id=f"{n}-{steps}", agent=(0.0,) * 3, targets=((1.0, 1.0),) * n, drift=((0.0, 0.0),) * n, horizon=steps)
+        for n, steps in ((1, 3), (1, 9), (2, 21))
     ]
-    for i, (other, protocol, settings) in enumerate(others):
-        assert not omniscient(other, protocol, settings, cache).cached
-        assert len(called) == i + 1
-    assert len(list(cache.iterdir())) == len(others) + 1
-
-
-def test_a_damaged_file_is_made_anew(suite, plans, tmp_path, monkeypatch):
-    monkeypatch.setattr(yardstick, "_solve_all", lambda *_: (plans.action, plans.seconds))
-    omniscient(suite, "true", FEW, tmp_path)
-    (path,) = tmp_path.iterdir()
-    whole = path.read_bytes()
-    other = tmp_path / "other.npz"
-    yardstick._keep(other, "of something else", plans.action, plans.seconds)
-    for broken in (whole[:-50], whole[:200] + b"\xff" + whole[201:], b"", other.read_bytes()):
-        path.write_bytes(broken)
-        found = omniscient(suite, "true", FEW, tmp_path)
-        assert not found.cached
-        np.testing.assert_array_equal(found.action, plans.action)
-        assert path.read_bytes() == whole
-    assert omniscient(suite, "true", FEW, tmp_path).cached
-
-
-def test_a_folder_that_cannot_be_written_costs_only_time(suite, plans, tmp_path, monkeypatch):
-    monkeypatch.setattr(yardstick, "_solve_all", lambda *_: (plans.action, plans.seconds))
-    (tmp_path / "file").write_text("")
-    with pytest.warns(UserWarning, match="not kept"):
-        found = omniscient(suite, "true", FEW, tmp_path / "file" / "plans")
-    np.testing.assert_array_equal(found.score, plans.score)
+    unseen = {steps: -2 * np.log(2.0 + 0.05**2 * steps) for steps in (3, 9, 21)}
+    found = lower_bounds(problem, scenes)
+    assert found["unbiased", 1] == pytest.approx((unseen[3] + unseen[9]) / 2)
+    assert found["unbiased", 2] == pytest.approx(unseen[21])

@@ -1,23 +1,17 @@
-"""Pictures of a comparison: steps are counted right, the front is the front, mean and band stand where they should."""
+"""Figures of a comparison: the front is the front, and what is drawn is what the verdicts say."""
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.lines import Line2D
 from PIL import Image
-from plotting.test_figures import made_up
+from study.test_robustness import MADE_UP, made_up_points
 
-from foveate.experiment.run_folder import Validation
-from foveate.plotting import scene as drawing
-from foveate.study import figures as figures_comparison
-from foveate.study.comparison import Overall
-from foveate.study.figures import Curve, curve_of, duel_figure, learning_curves, pareto_figure, pareto_front
-
-CHECK = Validation(
-    epoch=50, objective=1.0, gradient_norm=2.0, held_out=3.0, at_limit=0.0, best=True, epochs_per_s=9.0, elapsed_s=8.0
-)
+from foveate.evaluation.comparison import Overall
+from foveate.plotting.scene import new_figure
+from foveate.study import figures
+from foveate.study.figures import pareto_figure, pareto_front, robustness_figure
+from foveate.study.robustness import verdicts
 
 
 def overall(method, seconds, mean, family="planned", protocol="true") -> Overall:
@@ -44,30 +38,6 @@ def brute_force_front(points):
     }
 
 
-def test_curve_of_a_run(tmp_path):
-    checks = [replace(CHECK, env_steps=9900 * i, held_out=2.0 * i, elapsed_s=2.0 + i) for i in (1, 2, 3)]
-    (tmp_path / "metrics.jsonl").write_text("".join(json.dumps(asdict(check)) + "\n" for check in checks))
-    curve = curve_of(tmp_path)
-    np.testing.assert_allclose(curve.steps, [9900, 19800, 29700])
-    np.testing.assert_allclose(curve.seconds, [3, 4, 5])
-    np.testing.assert_allclose(curve.score, [2, 4, 6])
-
-
-def test_mean_and_band_over_seeds():
-    def line(a, b):
-        x = np.linspace(10.0, 100.0, 7)
-        return Curve(steps=x, seconds=x, score=a + b * x)
-
-    axes = drawing.new_figure(3.0, 3.0).subplots()
-    figures_comparison._mean_curve(axes, [line(0.0, 1.0), line(2.0, 3.0), line(1.0, 5.0)], "steps", drawing.BLUE)
-    x, y = axes.lines[0].get_data()
-    np.testing.assert_allclose(y, 1.0 + 3.0 * np.asarray(x), rtol=1e-9)
-    assert (x[0], x[-1]) == pytest.approx((10.0, 100.0))
-    band = axes.collections[0].get_paths()[0].vertices
-    assert band[:, 1].min() == pytest.approx(10.0)
-    assert band[:, 1].max() == pytest.approx(501.0)
-
-
 def test_the_front_is_what_nobody_beats():
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -79,40 +49,48 @@ def test_the_front_is_what_nobody_beats():
 
 def test_labels_that_would_cover_each_other_are_moved_apart():
     points = [overall(str(i), 1e-3, value) for i, value in enumerate((1.0, 1.01, 1.0, 5.0))]
-    heights = figures_comparison._apart([*points, overall("far", 1.0, 1.0)], 0.2)
+    heights = figures._spread_labels([*points, overall("far", 1.0, 1.0)], 0.2)
     assert min(np.diff(sorted(heights[:4]))) > 0.2 - 1e-9
     assert heights[3:] == [5.0, 1.0]
 
 
-def test_both_agents_are_drawn_in_their_own_colour():
-    axes = drawing.new_figure(3.0, 3.0).subplots()
-    films = (made_up(seed=1), made_up(seed=2))
-    for one, tint in zip(films, figures_comparison.DUEL, strict=True):
-        drawing.PlanarScene(axes, one, drawing.limits(films), tint=tint).show(12)
-    paths = [line for line in axes.lines if isinstance(line, Line2D) and line.get_color() in figures_comparison.DUEL]
-    assert {line.get_color() for line in paths} == set(figures_comparison.DUEL)
-    assert drawing.SEEN not in {line.get_color() for line in axes.lines}
-
-
-def test_figures_are_files_of_readme_width(tmp_path):
-    x = np.array([1e4, 2e4, 3e4])
-    curves = [Curve(steps=x, seconds=x / 1e3, score=np.array([1.0, 2.0, 3.0]))]
-    one = [Curve(steps=x[:1], seconds=x[:1], score=np.array([1.0]))]
-    learning_curves({"a": ("true", curves * 2), "b": ("surrogate", one)}, tmp_path / "learning.png")
+def test_the_pareto_figure_is_a_file_of_readme_width(tmp_path):
     pareto_figure(
         [overall("a", 1e-3, 1.0), overall("b", 1e-2, 2.0, "someone's"), overall("o", 1.0, 3.0, "omniscient")],
         tmp_path / "pareto.png",
     )
-    duel_figure(("a", "b"), [(made_up(seed=1), made_up(seed=2))], tmp_path / "duel.png")
-    for path in tmp_path.iterdir():
-        with Image.open(path) as picture:
-            assert picture.width == 1350
-
-
-def test_nothing_to_draw_is_rejected(tmp_path):
-    with pytest.raises(ValueError, match="no learner"):
-        learning_curves({}, tmp_path / "a.png")
+    with Image.open(tmp_path / "pareto.png") as picture:
+        assert picture.width == 1350
     with pytest.raises(ValueError, match="no method"):
         pareto_figure([], tmp_path / "a.png")
-    with pytest.raises(ValueError, match="no scene"):
-        duel_figure(("a", "b"), [], tmp_path / "a.png")
+
+
+def test_lines_stand_at_the_means():
+    axes, found = new_figure(3.0, 3.0).subplots(), verdicts(MADE_UP, made_up_points())
+    styles = {"net": figures.STYLES[0], "omniscient": figures.DASHED}
+    figures._panel(axes, MADE_UP, found, styles)
+    drawn = {(line.get_color(), line.get_linestyle()): line for line in axes.lines}
+    net = [one for one in found if one.method == "net"]
+    color, _, line = styles["net"]
+    expected = [(one.value, one.mean) for one in net]
+    np.testing.assert_allclose(np.asarray(drawn[color, line].get_xydata(), float), expected)
+    segments = axes.collections[0].get_segments()
+    np.testing.assert_allclose([segment[:, 1] for segment in segments], [one.ci95 for one in net])
+    assert axes.get_xlabel() == "f"
+
+
+def test_the_robustness_figure_is_a_file_of_readme_width(tmp_path):
+    factors = [replace(MADE_UP, name=name, values=values) for name, values in (("f", (1.0, 2.0)), ("g", (1.0, 2.0)))]
+    found = {factor.name: verdicts(MADE_UP, made_up_points()) for factor in factors}
+    robustness_figure(factors * 3, found, tmp_path / "robustness.png", "true score")
+    with Image.open(tmp_path / "robustness.png") as picture:
+        assert picture.width == 1350
+    with pytest.raises(ValueError, match="no factor"):
+        robustness_figure([], {}, tmp_path / "none.png", "true score")
+
+
+def test_a_factor_of_one_value_is_drawn(tmp_path):
+    alone = replace(MADE_UP, values=(1.0,))
+    found = verdicts(alone, [point for point in made_up_points() if point.value == 1.0])
+    robustness_figure([alone], {"f": found}, tmp_path / "one.png", "true score")
+    assert (tmp_path / "one.png").stat().st_size > 1000

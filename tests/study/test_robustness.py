@@ -1,8 +1,7 @@
-"""Worlds that differ by one factor differ in nothing else; what is made of their scores, by scipy."""
+"""Scenarios that differ by one factor differ in nothing else; what is made of their scores, by scipy."""
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 from scipy import stats
@@ -10,67 +9,20 @@ from scipy import stats
 from foveate.evaluation.evaluate import evaluate
 from foveate.experiment.presets import PRESETS
 from foveate.policies.heuristics import heuristic
-from foveate.scenario.scenario import Scenario
+from foveate.scenario.factors import FACTORS, Factor
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
-from foveate.study.robustness import FACTORS, Factor, Point, as_json, changed_bench, points, verdicts
+from foveate.study.robustness import Point, as_json, changed_benchmark, measure, verdicts
 from foveate.study.tables import worlds
 
-WORLD = PRESETS["paper"]
+PAPER = PRESETS["paper"]
 BY_NAME = {factor.name: factor for factor in FACTORS}
-
-
-def leaves(scenario):
-    return {jax.tree_util.keystr(path): np.asarray(leaf)
-            for path, leaf in jax.tree_util.tree_leaves_with_path(scenario.problem())}  # fmt: skip
-
-
-CHANGED = {
-    "W": (".motion.W", lambda v: v**2 * np.eye(2)),
-    "V": (".sensor.V", lambda v: v**2 * np.eye(2)),
-    "depth": (".sensor.view.vertices", lambda v: v * np.array([[0, 0], [1, -np.sqrt(3)], [1, np.sqrt(3)]])),
-    "angle": (
-        ".sensor.view.vertices",
-        lambda v: 2 * np.array([[0, 0], [1, -np.tan(np.radians(v / 2))], [1, np.tan(np.radians(v / 2))]]),
-    ),
-    "speed": (".agent.upper", lambda v: np.array([v, np.pi / 3])),
-    "turn": (".agent.upper", lambda v: np.array([4.0, np.radians(v)])),
-    "drift": (None, None),
-    "targets": (None, None),
-}
-
-
-@pytest.mark.parametrize("name", BY_NAME)
-def test_a_factor_changes_what_it_says_and_nothing_else(name):
-    factor, plain = BY_NAME[name], leaves(Scenario())
-    where, expected = CHANGED[name]
-    for value in factor.values:
-        scenario = factor.change(Scenario(), value)
-        found = leaves(scenario)
-        for place, leaf in plain.items():
-            if place == where:
-                np.testing.assert_allclose(found[place], expected(value), atol=1e-9)
-            elif not (name == "turn" and place == ".agent.lower"):  # a turn rate has two limits
-                np.testing.assert_array_equal(found[place], leaf)
-        scenes = {
-            "drift": {"drift_m_s": (value, value)},
-            "targets": dict.fromkeys(("targets_min", "targets_max"), int(value)),
-        }
-        assert scenario.scenes == replace(Scenario().scenes, **scenes.get(name, {}))
-    if name != "targets":
-        assert factor.change(Scenario(), factor.nominal).problem().tau == 1.0
-        assert factor.trained == (factor.nominal, factor.nominal)
-        np.testing.assert_allclose(
-            np.concatenate([leaf.ravel() for leaf in leaves(factor.change(Scenario(), factor.nominal)).values()]),
-            np.concatenate([leaf.ravel() for leaf in plain.values()]),
-            atol=1e-9,
-        )
 
 
 def test_scenes_are_those_of_table1_and_the_same_for_every_value():
     drift = BY_NAME["drift"]
-    benches = {value: changed_bench(WORLD, drift, value, 3, 2023, 0) for value in (0.4, 0.8)}
-    scenes = [scene for scene in table1(WORLD.scenario.problem()) if scene.id.startswith("biased-5-")][:3]
+    benches = {value: changed_benchmark(PAPER, drift, value, 3, 2023, 0) for value in (0.4, 0.8)}
+    scenes = [scene for scene in table1(PAPER.scenario.problem()) if scene.id.startswith("biased-5-")][:3]
     assert list(benches[0.8].suite.scenes) == scenes
     for half, whole in zip(benches[0.4].suite.scenes, scenes, strict=True):
         assert (half.id, half.agent, half.targets) == (whole.id, whole.agent, whole.targets)
@@ -78,20 +30,17 @@ def test_scenes_are_those_of_table1_and_the_same_for_every_value():
 
 
 def test_points_are_what_an_evaluation_says():
-    def nearest(world):
-        return heuristic("nearest", world.scenario.problem(), world.scenario.view.depth_m)
+    def nearest(experiment):
+        return heuristic("nearest", experiment.scenario.problem(), experiment.scenario.view.depth_m)
 
-    factor = replace(BY_NAME["V"], values=(0.2, 0.4))
-    benches = {value: changed_bench(WORLD, factor, value, 2, 2023, 0) for value in factor.values}
-    told = []
-    found = points(benches, factor, Fixed(name="nearest", make=nearest), 7, None, "true", told.append)
-    assert told == [1, 2]
-    assert [(one.factor, one.value, one.training_seed) for one in found] == [("V", 0.2, 7), ("V", 0.4, 7)]
-    rows = evaluate(benches[0.4].suite, "nearest", nearest(benches[0.4].world), ("true",))
-    assert found[1].scores == pytest.approx([row.score for row in rows], abs=1e-9)
-    assert found[1].seen == pytest.approx([row.seen_fraction for row in rows])
+    method = Fixed(name="nearest", make=nearest)
+    benchmarks = {value: changed_benchmark(PAPER, BY_NAME["V"], value, 2, 2023, 0) for value in (0.2, 0.4)}
+    measured = {value: measure(method, benchmark, "true", None) for value, benchmark in benchmarks.items()}
+    rows = evaluate(benchmarks[0.4].suite, "nearest", nearest(benchmarks[0.4].experiment), ("true",))
+    assert measured[0.4]["scores"] == pytest.approx([row.score for row in rows], abs=1e-9)
+    assert measured[0.4]["seen"] == pytest.approx([row.seen_fraction for row in rows])
     # Never seen: the variance grows from 2 m^2 by 0.05^2 a step for 15 steps.
-    assert found[0].floor == pytest.approx(-2 * np.log(2.0 + 15 * 0.05**2))
+    assert measured[0.2]["floor"] == pytest.approx(-2 * np.log(2.0 + 15 * 0.05**2))
 
 
 MADE_UP = Factor(name="f", label="f", values=(1.0, 2.0), trained=(1.0, 1.0), change=lambda scenario, value: scenario)

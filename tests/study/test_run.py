@@ -1,4 +1,4 @@
-"""Units of a study: done once, gone on with, made anew when what they depend on has changed."""
+"""Jobs of a study: done once, resumed, done again when what they depend on has changed."""
 
 import json
 from dataclasses import dataclass, replace
@@ -12,9 +12,9 @@ from foveate.simulation.records import Policy
 from foveate.simulation.suites import suite
 from foveate.study import run as reproduction
 from foveate.study import study
-from foveate.study.methods import Learned, Method, Training, paper_methods, reference
-from foveate.study.run import TRAININGS, UNITS, reproduce
-from foveate.study.study import Study, units
+from foveate.study.methods import FULL, QUICK, Learned, Method, Training, paper_methods
+from foveate.study.run import JOBS, TRAININGS, jobs, reproduce
+from foveate.study.study import Study
 
 EXPERIMENT = PRESETS["paper"]
 SHORTER = replace(EXPERIMENT, training=replace(EXPERIMENT.training, epochs=7))
@@ -38,16 +38,16 @@ class MadeUp(Method):
     family: str = "made up"
     starts: int = 1
 
-    def rows(self, bench, protocol, policy, report):
+    def rows(self, benchmark, protocol, policy, on_progress):
         CALLS.append(f"{self.name} {protocol} {policy and policy.name}")
-        report(len(bench.suite.scenes))
+        on_progress(len(benchmark.suite.scenes))
         numbers = {"score": 1.5, "seen_fraction": 0.5, "seen_step_fraction": 0.25, "longest_unseen_s": 3.0}
         numbers |= {"entropy": 0.1, "rmse_m": 0.2, "nees": 2.0, "step_time_s": 1e-3}
         numbers |= {"rmse_seen_m": 0.1, "rmse_unseen_m": 0.4, "nees_seen": 1.5, "nees_unseen": 2.5}
         names = {"method": self.name, "protocol": protocol, "episode": 0, "seed": 0}
         return [
             Row(scene=scene.id, motion=scene.motion, targets=len(scene.targets), **names, **numbers)
-            for scene in bench.suite.scenes
+            for scene in benchmark.suite.scenes
         ]
 
     def settings(self, protocol):
@@ -84,8 +84,8 @@ def a_study(experiment=EXPERIMENT, starts=1, **changes) -> Study:
     return Study(**{"methods": methods, "reference": "policy", "seeds": (0, 10), "scenes_per_cell": 2, **changes})
 
 
-def test_units_stand_in_an_order_that_can_be_done():
-    assert [unit.file for unit in units(a_study(seeds=(5,)))] == [
+def test_jobs_are_in_an_order_that_can_be_done(tmp_path):
+    assert [job.path.name for job in jobs(a_study(seeds=(5,)), tmp_path)] == [
         "rows-planner-surrogate.json",
         "rows-planner-true.json",
         "training-net-5.json",
@@ -93,7 +93,7 @@ def test_units_stand_in_an_order_that_can_be_done():
         "rows-policy-5-true.json",
     ]
     two = (Learned(name="one", training=Training(name="net", experiment=EXPERIMENT)), *a_study().methods)
-    assert len(units(a_study(methods=two, seeds=(0,)))) == 7
+    assert len(jobs(a_study(methods=two, seeds=(0,)), tmp_path)) == 7
 
 
 def test_all_is_done_once_and_comes_back(tmp_path):
@@ -120,13 +120,13 @@ def test_all_is_done_once_and_comes_back(tmp_path):
     assert [done for done, _ in told] == sorted(done for done, _ in told)
     assert (0, "planner, surrogate: 4 of 4 episodes") in told
     CALLS.clear()
-    times = {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()}
+    times = {path: path.stat().st_mtime_ns for path in (tmp_path / JOBS).iterdir()}
     assert reproduce(a_study(), tmp_path) == found
     assert CALLS == []
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / UNITS).iterdir()} == times
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / JOBS).iterdir()} == times
 
 
-def test_interrupted_after_a_unit_it_goes_on_from_there(tmp_path):
+def test_interrupted_after_a_job_it_resumes_from_there(tmp_path):
     def stop(done, what):
         if done == 1:
             raise KeyboardInterrupt
@@ -134,7 +134,7 @@ def test_interrupted_after_a_unit_it_goes_on_from_there(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         reproduce(a_study(), tmp_path, stop)
     assert CALLS == ["planner surrogate None"]
-    first = tmp_path / UNITS / "rows-planner-surrogate.json"
+    first = tmp_path / JOBS / "rows-planner-surrogate.json"
     before = first.stat().st_mtime_ns
     CALLS.clear()
     reproduce(a_study(), tmp_path)
@@ -159,24 +159,24 @@ def cut_short(tmp_path, monkeypatch):
     return whole
 
 
-def test_a_training_that_was_cut_short_goes_on(tmp_path, monkeypatch):
+def test_a_training_that_was_cut_short_resumes(tmp_path, monkeypatch):
     cut_short(tmp_path, monkeypatch)
     reproduce(a_study(seeds=(0,)), tmp_path)
     assert CALLS[0] == "train net-0 resume=True"
 
 
-def test_another_version_trains_anew_and_does_not_go_on(tmp_path, monkeypatch):
+def test_another_version_trains_again_and_does_not_resume(tmp_path, monkeypatch):
     cut_short(tmp_path, monkeypatch)
-    monkeypatch.setattr(study, "__version__", "99")
+    monkeypatch.setattr(reproduction, "__version__", "99")
     reproduce(a_study(seeds=(0,)), tmp_path)
     assert "train net-0 resume=False" in CALLS
     CALLS.clear()
-    monkeypatch.setattr(study, "__version__", "100")
+    monkeypatch.setattr(reproduction, "__version__", "100")
     reproduce(a_study(seeds=(0,)), tmp_path)
     assert "train net-0 resume=False" in CALLS
 
 
-def test_a_training_that_cannot_be_gone_on_with_is_made_anew(tmp_path, monkeypatch):
+def test_a_training_that_cannot_be_resumed_is_done_again(tmp_path, monkeypatch):
     whole = cut_short(tmp_path, monkeypatch)
 
     def reject(experiment, run, seed, resume, report):
@@ -203,7 +203,7 @@ def test_rows_are_those_of_the_weights_that_lie_there(tmp_path):
 def test_a_training_without_a_policy_is_said(tmp_path, monkeypatch):
     nothing = Outcome(epochs=1, best_epoch=0, best_score=-float("inf"), rollbacks=0, stopped="not finite")
     monkeypatch.setattr(reproduction, "train", lambda *given: nothing)
-    with pytest.raises(ValueError, match=r"net-0: no check of this training was finite.*not finite"):
+    with pytest.raises(ValueError, match=r"net-0: no validation was finite.*not finite"):
         reproduce(a_study(seeds=(0,)), tmp_path)
 
 
@@ -213,8 +213,8 @@ class Wrong(MadeUp):
 
     how: str = ""
 
-    def rows(self, bench, protocol, policy, report):
-        rows = super().rows(bench, protocol, policy, report)
+    def rows(self, benchmark, protocol, policy, on_progress):
+        rows = super().rows(benchmark, protocol, policy, on_progress)
         return rows[1:] if self.how == "missing" else [replace(row, method="me") for row in rows]
 
 
@@ -222,13 +222,13 @@ class Wrong(MadeUp):
 def test_rows_of_another_suite_or_method_are_rejected(tmp_path, how, message):
     with pytest.raises(ValueError, match=message):
         reproduce(a_study(methods=(Wrong(name="mine", how=how),), reference="mine"), tmp_path)
-    assert not list((tmp_path / UNITS).iterdir())
+    assert not list((tmp_path / JOBS).iterdir())
 
 
-def test_two_methods_of_one_file_are_rejected():
+def test_two_methods_of_one_file_are_rejected(tmp_path):
     (_, policy) = a_study().methods
     with pytest.raises(ValueError, match=r"rows-policy-0-surrogate\.json is another method's"):
-        units(a_study(methods=(policy, MadeUp(name="policy-0"))))
+        jobs(a_study(methods=(policy, MadeUp(name="policy-0"))), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ def test_two_methods_of_one_file_are_rejected():
         ({"seeds": (0, 3)}, ["train net-3 resume=False", "policy surrogate net-3", "policy true net-3"]),
     ],
 )  # fmt: skip
-def test_what_was_made_with_other_settings_is_made_anew(tmp_path, change, again):
+def test_what_was_made_with_other_settings_is_made_again(tmp_path, change, again):
     reproduce(a_study(seeds=(0,)), tmp_path)
     CALLS.clear()
     said = []
@@ -252,22 +252,22 @@ def test_what_was_made_with_other_settings_is_made_anew(tmp_path, change, again)
         assert sum("made with other settings" in line for line in said) == len(again)
 
 
-def test_a_changed_revision_or_version_makes_anew(tmp_path, monkeypatch):
+def test_a_changed_revision_or_version_computes_again(tmp_path, monkeypatch):
     (planner, _) = a_study().methods
     reproduce(a_study(methods=(planner,), reference="planner"), tmp_path)
     reproduce(a_study(methods=(replace(planner, revision=2),), reference="planner"), tmp_path)
     assert len(CALLS) == 4
-    monkeypatch.setattr(study, "__version__", "99")
+    monkeypatch.setattr(reproduction, "__version__", "99")
     reproduce(a_study(methods=(replace(planner, revision=2),), reference="planner"), tmp_path)
     assert len(CALLS) == 6
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"key": ', "[1]"])
-def test_a_damaged_unit_is_made_anew(tmp_path, content):
+def test_a_damaged_job_is_made_again(tmp_path, content):
     reproduce(a_study(), tmp_path)
     CALLS.clear()
     said = []
-    path = tmp_path / UNITS / "rows-planner-true.json"
+    path = tmp_path / JOBS / "rows-planner-true.json"
     whole = path.read_text()
     path.write_text(content)
     reproduce(a_study(), tmp_path, say=said.append)
@@ -277,7 +277,7 @@ def test_a_damaged_unit_is_made_anew(tmp_path, content):
     assert path.read_text() == whole
 
 
-def test_a_run_folder_that_is_gone_is_trained_anew(tmp_path):
+def test_a_run_folder_that_is_gone_is_trained_again(tmp_path):
     reproduce(a_study(seeds=(0,)), tmp_path)
     CALLS.clear()
     (tmp_path / TRAININGS / "net-0" / reproduction.BEST).unlink()
@@ -311,15 +311,15 @@ def test_a_study_that_makes_no_sense_is_rejected(changes, message):
 
 
 def test_the_papers_methods_hold_every_kind():
-    for quick in (False, True):
-        methods = {method.name: method for method in paper_methods(quick)}
+    for budget in (FULL, QUICK):
+        methods = {method.name: method for method in paper_methods(budget)}
         assert {"omniscient", "paper", "refine-15", "icr", "nearest", "uncertain", "lawnmower"} <= set(methods)
-        assert reference(quick) in methods
+        assert budget.reference in methods
         refined = methods["refine-15"].training
-        assert refined is methods[reference(quick)].training
-        # What stands in the units' keys can be written as JSON.
+        assert refined is methods[budget.reference].training
+        # What stands in the keys of jobs can be written as JSON.
         assert json.dumps([method.settings("true") for method in methods.values()])
-    assert {"best", "icr-16"} <= {method.name for method in paper_methods()}
-    short = {method.name: method for method in paper_methods(quick=True)}["paper"].training
+    assert {"best", "icr-16"} <= {method.name for method in paper_methods(FULL)}
+    short = {method.name: method for method in paper_methods(QUICK)}["paper"].training
     assert short is not None
     assert short.experiment.training.epochs < EXPERIMENT.training.epochs

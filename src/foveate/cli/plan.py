@@ -132,17 +132,16 @@ class Plan:
         return PRESETS[preset]
 
     def _rows(self, experiment: "Experiment", scenes: "list[Scene]", protocol: str, report) -> "list[Row]":
-        from foveate.evaluation.bounds import omniscient, omniscient_rows
         from foveate.evaluation.evaluate import prepare
+        from foveate.evaluation.oracle import omniscient, omniscient_rows
         from foveate.evaluation.planners import planner, planner_rows
         from foveate.experiment.resolve import load
         from foveate.io.files import cache_folder
         from foveate.planning.receding import OpenLoop
 
         problem, settings = experiment.scenario.problem(), self._settings(protocol)
-        chance = (self.seed, self.episodes)
+        suite = prepare(problem, experiment.scenario.scenes, scenes, self.seed, self.episodes)
         if self.omniscient:
-            suite = prepare(problem, experiment.scenario.scenes, scenes, *chance)
             return omniscient_rows(
                 suite, protocol, omniscient(suite, protocol, settings, cache_folder("plans"), report)
             )
@@ -155,9 +154,7 @@ class Plan:
                 else planner(problem, settings, horizon, self.window or 30, policy)
             )
 
-        return planner_rows(
-            problem, experiment.scenario.scenes, scenes, self._name(), policy_of, protocol, *chance, report
-        )
+        return planner_rows(suite, experiment.scenario.scenes, self._name(), policy_of, protocol, report)
 
     def _settings(self, protocol: str) -> "PlanSettings":
         from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, refining

@@ -8,24 +8,24 @@ from foveate.cli.options import option
 from foveate.errors import InputError
 
 if TYPE_CHECKING:
-    from foveate.study.comparison import Comparison
+    from foveate.evaluation.comparison import Comparison
     from foveate.study.methods import Method
     from foveate.study.study import Study
 
 
-WIDE = 175
+INTERVALS_WIDTH = 175
 """Columns of a terminal that has room for intervals, too."""
 
 
 @dataclass(kw_only=True)
 class Reproduce:
-    """Make a comparison anew: every learner, every method, the same scenes; tables and figures.
+    """Reproduce a comparison: every learner, every method, the same scenes; tables and figures.
 
-    The paper's: learners with three seeds, planners, a policy refined by a planner, policies made by hand, and the
-    omniscient planner as the yardstick, each under both protocols. Into --out: table.md, table.json (every episode, the
-    summary with normalised_score, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one
-    run folder a training. Ctrl-C is safe: the same command goes on where it stopped, and a call with other settings
-    makes anew only what depends on them.
+    The paper's: learners with three seeds, planners, a policy refined by a planner, heuristics, and the omniscient
+    planner as the oracle, each under both protocols. Into --out: table.md, table.json (every episode, the summary with
+    normalised_score, paired differences to the reference), learning.png, trajectories-*.png, pareto.png, and one run
+    folder a training. Ctrl-C is safe: the same command continues where it stopped, and a call with other settings
+    computes again only what depends on them.
 
       foveate reproduce --quick                        # minutes: short training, few scenes; a look, not a result
       foveate reproduce                                # the whole of it: an hour and a half or so on 2 cores
@@ -58,22 +58,21 @@ class Reproduce:
             compile_fast()
         from foveate.io.progress import Bar
         from foveate.study.publish import publish
-        from foveate.study.run import reproduce
-        from foveate.study.study import units
+        from foveate.study.run import jobs, reproduce
 
         study = self._study()
         suffix = f"{'-true-view' * (self.suite == 'true-view')}{'-quick' * self.quick}"
         out = self.out or Path("runs") / f"reproduce{suffix}"
         if out.exists() and not out.is_dir():
             raise InputError(f"{out}: is no folder: choose another place")
-        total = len(units(study))
-        with Bar(f"reproducing {self.suite}", total, "units") as bar:
+        total = len(jobs(study, out))
+        with Bar(f"reproducing {self.suite}", total, "jobs") as bar:
             try:
                 results = reproduce(study, out, bar.update, bar.say)
                 bar.update(total, "tables and figures")
                 comparisons = publish(study, out, results)
             except KeyboardInterrupt:
-                bar.say(f"interrupted: what is done is kept in {out}; the same command goes on from there")
+                bar.say(f"interrupted: what is done is kept in {out}; the same command continues from there")
                 raise
         _print(study, comparisons)
         print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file() and path.suffix))}")
@@ -101,7 +100,7 @@ def _own(place: str) -> "list[Method]":
 
     file, _, name = place.rpartition(":")
     if not file.endswith(".py") or not Path(file).is_file():
-        raise InputError(f"--add {place}: expected FILE.py:NAME of a file that is there")
+        raise InputError(f"--add {place}: expected FILE.py:NAME of a file that exists")
     spec = importlib.util.spec_from_file_location(f"foveate_own_{Path(file).stem}", file)
     assert spec is not None, "a name that ends in .py has a loader"
     assert spec.loader is not None, "a name that ends in .py has a loader"
@@ -121,7 +120,7 @@ def _slim(cell: str) -> str:
     import shutil
     import sys
 
-    wide = not sys.stdout.isatty() or shutil.get_terminal_size().columns >= WIDE
+    wide = not sys.stdout.isatty() or shutil.get_terminal_size().columns >= INTERVALS_WIDTH
     return cell if wide else cell.partition(" ±")[0].partition(" [")[0]
 
 

@@ -1,6 +1,5 @@
 """Evaluate methods on the same scenes with the same noise, under each protocol: one row an episode."""
 
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
@@ -13,6 +12,7 @@ import jax
 import numpy as np
 
 from foveate.evaluation.metrics import measures
+from foveate.learning.devices import cores
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.simulation.records import PROTOCOLS, Episode, Policy, Protocol, Trace, Truth
@@ -119,7 +119,7 @@ def evaluate_traces(
         return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
 
     parts = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for part in pool.map(run, range(0, count, chunk)):
             parts.append(part)
             report(min(count, chunk * len(parts)))

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foveate.evaluation.bounds import lower_bounds, oracle_rows, with_normalised_scores
+from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
 from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
+from foveate.evaluation.oracle import oracle_rows
 from foveate.evaluation.summary import Summary, summarise, write_result
 from foveate.experiment.experiment import Experiment
 from foveate.io.progress import Bar

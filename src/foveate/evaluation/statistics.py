@@ -1,9 +1,9 @@
 """Intervals of means and paired comparisons; the values given are taken as independent (scenes, not episodes)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +11,17 @@ from scipy.special import stdtrit
 
 LEVEL = 0.95
 
-
 Values = Sequence[float] | Float[np.ndarray, " values"]
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
+
+
+def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Group items by a key, in the order in which keys first appear."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +46,8 @@ def mean_interval(values: Values) -> tuple[float, float]:
 def paired(first: Values, second: Values) -> Paired:
     """How much larger `first` is than `second`, pair by pair.
 
-    The test is Wilcoxon's: the scores of scenes are skewed (one target that is never seen costs many nats), so that
-    a test on their signs and ranks is safer than one on their mean; it asks for the median of the pairs' averages.
+    The test is Wilcoxon's signed-rank test: scores of scenes are skewed (one target that is never seen costs many
+    nats), which a test of ranks tolerates better than one of the mean.
     """
     from scipy.stats import wilcoxon  # half a second to import
 

@@ -1,173 +1,41 @@
-"""Pictures of a comparison: how methods learn, two of them in one scene, score against time. Reads, never simulates."""
+"""Figures of a comparison: score against time, score against what differs from training."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from foveate.errors import InputError
-from foveate.experiment.run_folder import METRICS, read_validations
-from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
+from foveate.evaluation.comparison import Overall
+from foveate.evaluation.statistics import group_by
+from foveate.plotting.comparison import log_axis, tidy
 from foveate.plotting.figures import COLUMNS, WIDTH
-from foveate.plotting.scene import (
-    BLACK,
-    BLUE,
-    CYCLE,
-    GREEN,
-    GREY,
-    PALE,
-    PURPLE,
-    VERMILLION,
-    PlanarScene,
-    clean,
-    limits,
-    new_figure,
-    save,
-)
-from foveate.study.comparison import Overall
+from foveate.plotting.scene import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION, clean, new_figure, save
+from foveate.scenario.factors import Factor
+from foveate.study.robustness import ORACLE, Verdict
 
 HALO = withStroke(linewidth=2.5, foreground="white")
 """Keeps a label legible that a line runs through."""
 
-
 PANEL_POINTS = 260.0
 """Height of a panel of the Pareto figure, nearly."""
 
-
-GRID = 200
-"""Points along a mean curve."""
-
-
-DUEL = (BLUE, VERMILLION)
-
-
-STYLES = {
-    "trained": (BLUE, "o"),
-    "trained, refined": (PURPLE, "D"),
-    "planned": (GREEN, "s"),
-    "made by hand": (VERMILLION, "^"),
-}
+FAMILIES = {
+    "trained": (BLUE, "o"), "trained, refined": (PURPLE, "D"),
+    "planned": (GREEN, "s"), "made by hand": (VERMILLION, "^"),
+}  # fmt: skip
 """Colour and marker of a family of methods; another one is black."""
 
+STYLES = ((BLUE, "o", "-"), (VERMILLION, "^", "-"), (GREEN, "s", "-"), (PURPLE, "D", "-"), (ORANGE, "v", "-"))
+"""Colour, marker and line of the methods under changed factors, in the order in which they are given."""
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Curve:
-    """One training: environment steps, seconds, and the held-out score [nat per target] of every check."""
-
-    steps: Float[np.ndarray, " checks"]
-    seconds: Float[np.ndarray, " checks"]
-    score: Float[np.ndarray, " checks"]
-
-
-def curve_of(run: Path) -> Curve:
-    """The curve of a run folder; a score that was not finite is missing."""
-    checks = read_validations(run / METRICS)
-    return Curve(
-        steps=np.array([float(check.env_steps) for check in checks]),
-        seconds=np.array([check.elapsed_s for check in checks]),
-        score=np.array([check.held_out for check in checks], float),
-    )
-
-
-def learning_curves(learners: Mapping[str, tuple[str, Sequence[Curve]]], path: Path) -> None:
-    """Held-out score against environment steps and against time; the mean over seeds, in a band from worst to best.
-
-    `learners` gives the protocol of the held-out score, and the curves, by name; learners that are judged by different
-    protocols have panels one below the other. Raises ValueError for none.
-    """
-    if not learners:
-        raise InputError("no learner to draw: expected at least one")
-    protocols = list(dict.fromkeys(protocol for protocol, _ in learners.values()))
-    figure = new_figure(WIDTH, 0.5 + 3.1 * len(protocols))
-    panels = figure.subplots(len(protocols), 2, squeeze=False, sharey="row")
-    colors = dict(zip(learners, CYCLE * len(learners), strict=False))
-    for row, protocol in zip(panels, protocols, strict=True):
-        for axes, what, label in zip(row, ("steps", "seconds"), ("environment steps", "wall time [s]"), strict=True):
-            for name, (its_protocol, curves) in learners.items():
-                if its_protocol == protocol:
-                    _mean_curve(axes, curves, what, colors[name])
-            _log_axis(axes)
-            axes.grid(color=PALE, lw=0.6)
-            clean(axes, 9.0)
-            axes.set_xlabel(label, fontsize=9.5)
-        row[0].set_ylabel(f"held-out {protocol} score\n[nat per target]", fontsize=9.5)
-    entries = [
-        Line2D([], [], color=colors[name], lw=2, label=f"{name} ({len(curves)} seed{'s' * (len(curves) != 1)})")
-        for name, (_, curves) in learners.items()
-    ]
-    figure.legend(handles=entries, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    save(figure, path)
-
-
-def _mean_curve(axes: Axes, curves: Sequence[Curve], what: str, color: str) -> None:
-    """Where all of the seeds have a value: their mean, and a band from the lowest to the highest."""
-    across = [getattr(curve, what) for curve in curves]
-    first, last = max(x[0] for x in across), min(x[-1] for x in across)
-    grid = np.geomspace(first, last, GRID) if last > first else np.array([first])
-    values = np.array([np.interp(grid, x, curve.score) for x, curve in zip(across, curves, strict=True)])
-    axes.fill_between(grid, values.min(axis=0), values.max(axis=0), color=color, alpha=0.18, lw=0)
-    axes.plot(grid, values.mean(axis=0), color=color, lw=2, marker="o" if len(grid) == 1 else "")
-
-
-def _log_axis(axes: Axes, subs: Sequence[float] = (1.0, 2.0, 5.0), right: float = 1.6) -> None:
-    """A logarithmic x axis with numbers that are read at once; wide enough that there are some."""
-    low, high = axes.dataLim.intervalx
-    axes.set_xscale("log")
-    axes.set_xlim(low / 1.6, high * right)
-    axes.xaxis.set_major_locator(LogLocator(subs=tuple(subs)))
-    axes.xaxis.set_major_formatter(EngFormatter(sep="") if high > 1e3 else FuncFormatter(lambda x, _: f"{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[EpisodeData, EpisodeData]], path: Path) -> None:
-    """Two methods in the same scenes, a row each: the start, a third, two thirds and the end.
-
-    Each method has one colour: path, view (triangle), and the 95 % ellipses about its believed means, solid where it
-    measures at that instant, dashed where not. Targets are squares. Raises ValueError for no scene.
-    """
-    if not scenes:
-        raise InputError("no scene to draw: expected at least one")
-    side = WIDTH / COLUMNS
-    figure = new_figure(WIDTH, (side + 0.45) * len(scenes) + 0.35)
-    rows = figure.subfigures(len(scenes), 1, squeeze=False)[:, 0]
-    for row, pair in zip(rows, scenes, strict=True):
-        results = "   ".join(f"{name} {_score(film)}" for name, film in zip(names, pair, strict=True))
-        row.suptitle(
-            f"{pair[0].targets} targets: {results}", x=0.01, y=0.99, va="top", ha="left", fontsize=9, fontweight="bold"
-        )
-        box, film = limits(pair), pair[0]
-        for column in range(COLUMNS):
-            instant = round(film.steps * column / (COLUMNS - 1))
-            axes = row.add_subplot(1, COLUMNS, column + 1)
-            stages = [PlanarScene(axes, one, box, tint=tint) for one, tint in zip(pair, DUEL, strict=True)]
-            for stage in stages:
-                stage.show(SUBSTEPS * instant)
-            stages[0].label(8.0, x=row is rows[-1], y=column == 0)
-            axes.set_title(f"t = {film.times_s[instant]:g} s", fontsize=8.5, pad=3)
-    figure.legend(handles=_duel_legend(names), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
-    save(figure, path)
-
-
-def _score(film: EpisodeData) -> str:
-    return "" if film.score is None else f"{film.score:.2f}"
-
-
-def _duel_legend(names: tuple[str, str]) -> list[Line2D | Patch]:
-    methods = [Line2D([], [], color=color, lw=2, label=name) for name, color in zip(names, DUEL, strict=True)]
-    return [
-        *methods,
-        Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target, its track"),
-        Patch(facecolor=PALE, edgecolor=BLACK, lw=1.3, label="belief (95 %), seen now"),
-        Patch(facecolor="white", edgecolor=BLACK, ls=(0, (3, 2)), label="not seen now"),
-    ]
+DASHED = (BLACK, "", "--")
 
 
 def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
@@ -177,25 +45,22 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
     """
     if not overall:
         raise InputError("no method to draw: expected at least one")
-    protocols = list(dict.fromkeys(one.protocol for one in overall))
+    protocols = group_by(overall, lambda one: one.protocol)
     figure = new_figure(WIDTH, 4.6)
     panels = figure.subplots(1, len(protocols), squeeze=False, sharey=True)[0]
-    for axes, protocol in zip(panels, protocols, strict=True):
-        ours = [one for one in overall if one.protocol == protocol]
-        _pareto_panel(axes, [one for one in ours if one.family != "omniscient"])
-        for one in ours:
-            if one.family == "omniscient":
-                axes.axhline(one.mean, color=BLACK, ls="--", lw=1)
-                axes.annotate(
-                    f"omniscient {one.mean:.2f}", (0.01, one.mean), (0, 3), xycoords=axes.get_yaxis_transform(),
-                    textcoords="offset points", fontsize=8.5,
-                )  # fmt: skip
+    for axes, (protocol, methods) in zip(panels, protocols.items(), strict=True):
+        _pareto_panel(axes, [method for method in methods if method.family != "omniscient"])
+        for oracle in (method for method in methods if method.family == "omniscient"):
+            axes.axhline(oracle.mean, color=BLACK, ls="--", lw=1)
+            axes.annotate(
+                f"omniscient {oracle.mean:.2f}", (0.01, oracle.mean), (0, 3), xycoords=axes.get_yaxis_transform(),
+                textcoords="offset points", fontsize=8.5,
+            )  # fmt: skip
         axes.set_title(f"{protocol} score", fontsize=10, fontweight="bold", loc="left")
     panels[0].set_ylabel("score [nat per target], mean over cells", fontsize=9.5)
-    families = dict.fromkeys(one.family for one in overall if one.family != "omniscient")
     entries = []
-    for family in families:
-        color, marker = STYLES.get(family, (BLACK, "o"))
+    for family in dict.fromkeys(one.family for one in overall if one.family != "omniscient"):
+        color, marker = FAMILIES.get(family, (BLACK, "o"))
         entries.append(Line2D([], [], color=color, ls="none", marker=marker, ms=6, label=family))
     entries.append(Line2D([], [], color=GREY, lw=1.2, label="nobody faster scores more"))
     figure.legend(handles=entries, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
@@ -203,7 +68,7 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
 
 
 def pareto_front(overall: Sequence[Overall]) -> list[Overall]:
-    """Those that score more than all that decide as fast or faster, fastest first."""
+    """Methods that score more than all that decide as fast or faster, fastest first."""
     front: list[Overall] = []
     for one in sorted(overall, key=lambda one: (one.step_time_s, -one.mean)):
         if not front or one.mean > front[-1].mean:
@@ -215,15 +80,13 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     front = pareto_front(overall)
     axes.step([1e3 * one.step_time_s for one in front], [one.mean for one in front], where="post", color=GREY, lw=1.2)
     for one in overall:
-        color, marker = STYLES.get(one.family, (BLACK, "o"))
+        color, marker = FAMILIES.get(one.family, (BLACK, "o"))
         axes.plot(1e3 * one.step_time_s, one.mean, color=color, marker=marker, ms=6, mec="white", mew=0.6, zorder=5)
-    axes.grid(color=PALE, lw=0.6)
-    clean(axes, 9.0)
-    axes.set_xlabel("time of a decision [ms]", fontsize=9.5)
+    tidy(axes, "time of a decision [ms]")
     axes.margins(y=0.08)
     low, high = axes.get_ylim()
-    _log_axis(axes, (1.0,), right=4.0)
-    for one, height in zip(overall, _apart(overall, 0.036 * (high - low)), strict=True):
+    log_axis(axes, (1.0,), right=4.0)
+    for one, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
         label = axes.annotate(
             one.method, (1e3 * one.step_time_s, one.mean), (6, (height - one.mean) / (high - low) * PANEL_POINTS),
             textcoords="offset points", fontsize=8, va="center", zorder=4, path_effects=[HALO],
@@ -231,13 +94,69 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
         label.set_in_layout(False)
 
 
-def _apart(overall: Sequence[Overall], least: float) -> list[float]:
+def _spread_labels(overall: Sequence[Overall], least: float) -> list[float]:
     """Heights of labels beside their points: where points are near in time, pushed up until none covers another."""
     order = sorted(range(len(overall)), key=lambda i: overall[i].mean)
     heights = [one.mean for one in overall]
-    for at, i in enumerate(order):
-        for j in order[:at]:
+    for rank, i in enumerate(order):
+        for j in order[:rank]:
             near = abs(math.log(overall[i].step_time_s / overall[j].step_time_s)) < math.log(4.0)
             if near and heights[i] - heights[j] < least:
                 heights[i] = heights[j] + least
     return heights
+
+
+def robustness_figure(
+    factors: Sequence[Factor], verdicts: Mapping[str, Sequence[Verdict]], path: Path, label: str
+) -> None:
+    """Mean score with its 95 % interval against each factor; `label` names the score.
+
+    `verdicts` are by the factor's name. The omniscient planner is a dashed line, the lower bound a dotted one, and the
+    range of training a grey band. All panels share the score's axis. Raises ValueError for no factor.
+    """
+    if not factors:
+        raise InputError("no factor to draw: expected at least one")
+    rows, columns = -(-len(factors) // COLUMNS), min(COLUMNS, len(factors))
+    figure = new_figure(WIDTH, 2.35 * rows + 0.5)
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    names = dict.fromkeys(one.method for factor in factors for one in verdicts[factor.name])
+    styles = {**dict(zip((n for n in names if n != ORACLE), STYLES * len(names), strict=False)), ORACLE: DASHED}
+    for axes, factor in zip(panels.flat, factors, strict=False):
+        _panel(axes, factor, verdicts[factor.name], styles)
+    for axes in panels.flat[len(factors) :]:
+        axes.remove()
+    for row in panels:
+        row[0].set_ylabel(label, fontsize=9)
+    entries = []
+    for name in names:
+        color, marker, line = styles[name]
+        entries.append(Line2D([], [], color=color, marker=marker, ls=line, lw=1.6, ms=5, label=name))
+    entries.append(Line2D([], [], color=GREY, ls=":", lw=1.4, label="never sees anything"))
+    entries.append(Patch(facecolor=PALE, label="as in training"))
+    figure.legend(handles=entries, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
+    save(figure, path)
+
+
+def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapping[str, tuple[str, str, str]]) -> None:
+    values = np.array(factor.values)
+    # Where neighbours differ by the same factor, so do ticks; panels whose values are evenly spaced stay linear.
+    is_even = np.allclose(np.diff(values, 2), 0.0)
+    axes.set_xscale("linear" if is_even else "log")
+    steps = np.diff(values) if is_even else values[1:] / values[:-1]
+    gap = steps[0] if len(steps) else values[0]  # of a single value: as wide as it is large
+    low, high = factor.trained
+    band = (low - 0.12 * gap, high + 0.12 * gap) if is_even else (low / gap**0.12, high * gap**0.12)
+    axes.axvspan(*band, color=PALE, lw=0, zorder=0)
+    for method, ours in group_by(verdicts, lambda one: one.method).items():
+        color, marker, line = styles[method]
+        x, mean = [one.value for one in ours], np.array([one.mean for one in ours])
+        bars = None if method == ORACLE else np.abs(np.array([one.ci95 for one in ours]).T - mean)
+        axes.errorbar(x, mean, bars, color=color, marker=marker, ls=line, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2)
+    floors = {one.value: one.floor for one in verdicts}
+    axes.plot(list(floors), list(floors.values()), color=GREY, ls=":", lw=1.4)
+    axes.xaxis.set_major_locator(FixedLocator(list(factor.values)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:.3g}".lstrip("0") if 0 < x < 1 else f"{x:g}"))
+    axes.grid(axis="y", color=PALE, lw=0.6)
+    clean(axes, 8.5)
+    axes.set_xlabel(factor.label, fontsize=9)

@@ -1,42 +1,38 @@
-"""What is compared: ways to decide, each a small record that turns scenes into rows.
+"""Methods of a comparison: small records that turn scenes into rows.
 
 Your own method is one more record. A policy that needs no training: `Fixed(name="mine", make=...)`, where `make` builds
-it for an experiment's world. One that a foveate experiment trains: `Learned(name="mine", training=Training(...))`.
-Anything else: a subclass of `Method` with its `rows`. `examples/own_method.py` is one, whole.
+it for an experiment. One that a foveate experiment trains: `Learned(name="mine", training=Training(...))`.
+Anything else: a subclass of `Method` with its `rows`. `examples/own_method.py` is a complete one.
 """
 
 import abc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
 from foveate.errors import InputError
-from foveate.evaluation.bounds import oracle_rows
 from foveate.evaluation.evaluate import Row, Suite, evaluate
+from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import planner, planner_rows
-from foveate.experiment.experiment import Experiment, with_learner
-from foveate.experiment.learners import ActorCriticSettings
-from foveate.experiment.presets import PPO, PRESETS
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import PPO, PRESETS, adjusted
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
 from foveate.policies.heuristics import HEURISTICS, heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
 
-Report = Callable[[int], None]
-"""Called with the number of episodes that are done."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
-    """What every method meets alike: the world, scenes of it, and the chance in them."""
+class Benchmark:
+    """The same for every method: an experiment, scenes of its scenario, and the noise in them."""
 
-    world: Experiment
+    experiment: Experiment
     suite: Suite
 
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Where a policy comes from: an experiment, trained once for every training seed by its own algorithm."""
+    """Source of a policy: an experiment, trained once for every training seed by its own algorithm."""
 
     name: str
     experiment: Experiment
@@ -44,24 +40,23 @@ class Training:
 
 @dataclass(frozen=True, kw_only=True)
 class Method(abc.ABC):
-    """One way to decide. With a `training` there is one policy, and one set of rows, for every training seed.
+    """A way to decide. With a `training` there is one policy, and one set of rows, for every training seed.
 
-    Raise `revision` when what the method does has changed, so that its rows are made anew: a program sees a change of
-    its settings, not one of its code.
+    `family` groups methods in figures. Raise `revision` when the method's code has changed, so that its rows are
+    computed again: only a change of its settings is noticed.
     """
 
     name: str
     family: str
-    """How figures group it."""
     training: Training | None = None
     revision: int = 1
 
     @abc.abstractmethod
-    def rows(self, bench: Bench, protocol: str, policy: Policy | None, report: Report) -> list[Row]:
+    def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
         """One row an episode; `policy` is the trained one, where the method has a training."""
 
     def settings(self, protocol: str) -> dict[str, Any]:
-        """What else the rows depend on, as JSON."""
+        """Everything else that the rows depend on, as JSON."""
         return {}
 
 
@@ -70,12 +65,12 @@ class Acting(Method):
     """A policy, run in an evaluation."""
 
     @abc.abstractmethod
-    def policy(self, world: Experiment, trained: Policy | None) -> Policy:
-        """The policy, for a world; `trained` is what its training gave, if it has one."""
+    def policy(self, experiment: Experiment, trained: Policy | None) -> Policy:
+        """The policy for an experiment; `trained` is the result of the method's training, if it has one."""
 
-    def rows(self, bench: Bench, protocol: str, policy: Policy | None, report: Report) -> list[Row]:
+    def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
         """The rows of an evaluation."""
-        return evaluate(bench.suite, self.name, self.policy(bench.world, policy), (protocol,))
+        return evaluate(benchmark.suite, self.name, self.policy(benchmark.experiment, policy), (protocol,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +79,8 @@ class Learned(Acting):
 
     family: str = "trained"
 
-    def policy(self, world: Experiment, trained: Policy | None) -> Policy:
-        """What was trained."""
+    def policy(self, experiment: Experiment, trained: Policy | None) -> Policy:
+        """The trained policy."""
         if trained is None:
             raise InputError(f"method {self.name}: has no training: expected Learned(training=Training(..))")
         return trained
@@ -93,144 +88,141 @@ class Learned(Acting):
 
 @dataclass(frozen=True, kw_only=True)
 class Fixed(Acting):
-    """A policy without training; `make` builds it for a world."""
+    """A policy without training; `make` builds it for an experiment."""
 
     make: Callable[[Experiment], Policy]
     family: str = "made by hand"
 
-    def policy(self, world: Experiment, trained: Policy | None) -> Policy:
-        """What was made."""
-        return self.make(world)
+    def policy(self, experiment: Experiment, trained: Policy | None) -> Policy:
+        """The policy that `make` builds."""
+        return self.make(experiment)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Planned(Method):
-    """A new plan at every step; with a training, one that begins at what the trained policy would do."""
+    """A receding-horizon planner; with a training, one that starts from the trained policy's actions."""
 
     plans: Mapping[str, PlanSettings]
     family: str = "planned"
 
-    def rows(self, bench: Bench, protocol: str, policy: Policy | None, report: Report) -> list[Row]:
+    def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
         """The rows of plans in receding horizon."""
-        suite = bench.suite
-        return planner_rows(
-            suite.problem,
-            bench.world.scenario.scenes,
-            suite.scenes,
-            self.name,
-            lambda horizon: planner(suite.problem, self.plans[protocol], horizon, policy=policy),
-            protocol,
-            suite.seed,
-            suite.episodes_per_scene,
-            report,
-        )
+
+        def policy_of(horizon: int) -> Policy:
+            return planner(benchmark.suite.problem, self.plans[protocol], horizon, policy=policy)
+
+        scenes = benchmark.experiment.scenario.scenes
+        return planner_rows(benchmark.suite, scenes, self.name, policy_of, protocol, on_progress)
 
     def settings(self, protocol: str) -> dict[str, Any]:
-        """How the plans are made."""
+        """The settings of the planner."""
         return asdict(self.plans[protocol])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Omniscient(Method):
-    """The planner that knows the future: what normalised_score is measured by."""
+    """The planner that knows the future: the oracle of normalised_score."""
 
     name: str = "omniscient"
     family: str = "omniscient"
 
-    def rows(self, bench: Bench, protocol: str, policy: Policy | None, report: Report) -> list[Row]:
-        """The rows of its plans, made here or kept."""
-        return oracle_rows(bench.suite, protocol, report)
+    def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
+        """The rows of its plans."""
+        return oracle_rows(benchmark.suite, protocol, on_progress)
 
     def settings(self, protocol: str) -> dict[str, Any]:
-        """How the plans are made."""
+        """The settings of the planner."""
         return asdict(OMNISCIENT[protocol])
 
 
-LEARNERS = ("paper", "best", *PPO)
-"""Presets that the paper's suite compares, and the paper's trained by PPO, where that is installed."""
+TRUE_VIEW = "true-view"
+"""The preset for the true field of view, the reference of its suite."""
+
+REFINING_ITERATIONS = 15
 
 
-QUICK_LEARNERS = ("paper", "ppo")
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """Size of a comparison; `scenes`: the first N of every cell; `targets`: cells with these numbers (None: all).
+
+    `reference` is what the paper's methods are compared with, and what is refined: fixed before any result is seen.
+    `cuts` shorten trainings. The methods `robust` are run under `factors` of robustness (None: all).
+    """
+
+    quick: bool = False
+    learners: tuple[str, ...] = ("paper", "best", *PPO)
+    reference: str = "best"
+    cuts: Mapping[str, dict[str, int]]
+    starts: tuple[int, ...] = (1, 4, 16, 64)
+    seeds: tuple[int, ...] = (0, 10, 100)
+    scenes: int = 30
+    targets: tuple[int, ...] | None = None
+    factors: tuple[str, ...] | None = None
+    robust: tuple[str, ...] = ("omniscient", TRUE_VIEW, "uncertain", "nearest")
 
 
-QUICK_EPOCHS, QUICK_STEPS, QUICK_TRIES = 300, 40_000, 40
-"""Epochs of the policy gradient, steps of PPO, epochs of who learns by trying."""
+FULL = Budget(cuts={})
+# As many sizes as two cores compile side by side, and factors that need no further program: compilation is most of it.
+QUICK = Budget(
+    quick=True, seeds=(0,), scenes=3, targets=(3, 5), learners=("paper", "ppo"), reference="paper", starts=(),
+    cuts={"paper": {"epochs": 300}, "ppo": {"steps": 40_000}, TRUE_VIEW: {"epochs": 40}},
+    factors=("V", "depth"), robust=(TRUE_VIEW, "uncertain", "nearest"),
+)  # fmt: skip
 
 
-STARTS, QUICK_STARTS = (1, 4, 16, 64), ()
-"""Budgets of the planner that plans anew at every step."""
-
-
-REFINED_BY = 15
-
-
-def paper_methods(quick: bool = False) -> tuple[Method, ...]:
-    """All that is compared on the paper's table: learners, the reference refined, planners, hands, the yardstick."""
-    trainings = [_training(name, quick) for name in (QUICK_LEARNERS if quick else LEARNERS) if can_train(name)]
-    refined = next(training for training in trainings if training.name == reference(quick))
+def paper_methods(budget: Budget) -> tuple[Method, ...]:
+    """Methods of the paper's table: oracle, learners, the reference refined, planners, heuristics."""
+    trainings = {name: _training(name, budget) for name in budget.learners if can_train(name)}
     return (
         Omniscient(),
-        *(Learned(name=training.name, training=training) for training in trainings),
-        _refined(refined),
+        *(Learned(name=name, training=training) for name, training in trainings.items()),
+        _refined(trainings[budget.reference]),
         Planned(name="icr", plans=dict.fromkeys(PROTOCOLS, PUBLISHED)),
-        *(
-            Planned(name=f"icr-{starts}", plans={name: replace(plan, starts=starts) for name, plan in ONLINE.items()})
-            for starts in (QUICK_STARTS if quick else STARTS)
-        ),
-        *(_by_hand(name) for name in HEURISTICS),
+        *map(_online, budget.starts),
+        *map(_heuristic, HEURISTICS),
     )
+
+
+def true_view_methods(budget: Budget) -> tuple[Method, ...]:
+    """Methods of the suite in which a target counts only when it is really seen."""
+    paper, ours = _training("paper", budget), _training(TRUE_VIEW, budget)
+    learned = (Learned(name="paper", training=paper), Learned(name=TRUE_VIEW, training=ours))
+    slow = (_refined(ours), Planned(name="icr", plans={"true": PUBLISHED}), _online(16))
+    return (Omniscient(), *learned, *(() if budget.quick else slow), *map(_heuristic, HEURISTICS))
+
+
+def check_rows(rows: Sequence[Row], suite: Suite, method: str, protocol: str) -> None:
+    """Raise ValueError unless there is one row an episode of the suite, of this method and protocol."""
+    expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
+    if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
+        raise InputError(f"method {method}: gave {len(rows)} rows: expected one an episode of the suite")
+    if {(row.method, row.protocol) for row in rows} - {(method, protocol)}:
+        raise InputError(f"method {method}: its rows name another method or protocol than {protocol}")
+
+
+def can_train(name: str) -> bool:
+    """Whether the packages that a learner needs are installed."""
+    return name not in PPO or find_spec("stable_baselines3") is not None
+
+
+def _training(name: str, budget: Budget) -> Training:
+    learner, preset = (name, "paper") if name in PPO else (None, name)
+    return Training(name=name, experiment=adjusted(PRESETS[preset], learner, **budget.cuts.get(name, {})))
 
 
 def _refined(training: Training) -> Planned:
     """A trained policy, improved by a planner at every step."""
-    plans = {protocol: refining(protocol, REFINED_BY) for protocol in PROTOCOLS}
-    return Planned(name=f"refine-{REFINED_BY}", family="trained, refined", training=training, plans=plans)
+    plans = {protocol: refining(protocol, REFINING_ITERATIONS) for protocol in PROTOCOLS}
+    return Planned(name=f"refine-{REFINING_ITERATIONS}", family="trained, refined", training=training, plans=plans)
 
 
-TRUE_VIEW = "true-view"
-"""The preset for the true field of view: what its suite is about."""
+def _online(starts: int) -> Planned:
+    plans = {protocol: replace(settings, starts=starts) for protocol, settings in ONLINE.items()}
+    return Planned(name=f"icr-{starts}", plans=plans)
 
 
-CHANGED_WORLDS = ("omniscient", TRUE_VIEW, "uncertain", "nearest")
-"""Methods of the true view's suite that are run in changed worlds, too."""
-
-
-def true_view_methods(quick: bool = False) -> tuple[Method, ...]:
-    """All that is compared where a target counts only when it is really seen."""
-    icr, many = PUBLISHED, replace(ONLINE["true"], starts=16)
-    paper, ours = (_training(name, quick) for name in ("paper", TRUE_VIEW))
-    return (
-        Omniscient(),
-        *(Learned(name=training.name, training=training) for training in (paper, ours)),
-        *(() if quick else (_refined(ours),)),
-        *(Planned(name=name, plans={"true": plan}) for name, plan in (("icr", icr), ("icr-16", many)) if not quick),
-        *(_by_hand(name) for name in HEURISTICS),
-    )
-
-
-def reference(quick: bool = False) -> str:
-    """What every method is compared with, and what is refined: fixed before any result is seen."""
-    return "paper" if quick else "best"
-
-
-def _training(name: str, quick: bool) -> Training:
-    """A learner; a quick one is cut short."""
-    experiment = with_learner(PRESETS["paper"], PPO[name]) if name in PPO else PRESETS[name]
-    if quick:
-        training = experiment.training
-        epochs = QUICK_TRIES if isinstance(training, ActorCriticSettings) else QUICK_EPOCHS
-        short = {"steps": QUICK_STEPS} if name in PPO else {"epochs": epochs}
-        experiment = replace(experiment, training=replace(training, **short))
-    return Training(name=name, experiment=experiment)
-
-
-def can_train(name: str) -> bool:
-    """Whether what a learner needs is installed."""
-    return name not in PPO or find_spec("stable_baselines3") is not None
-
-
-def _by_hand(name: str) -> Fixed:
-    def make(world: Experiment) -> Policy:
-        return heuristic(name, world.scenario.problem(), float(world.scenario.view.depth_m))
+def _heuristic(name: str) -> Fixed:
+    def make(experiment: Experiment) -> Policy:
+        return heuristic(name, experiment.scenario.problem(), float(experiment.scenario.view.depth_m))
 
     return Fixed(name=name, make=make)

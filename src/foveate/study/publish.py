@@ -1,195 +1,179 @@
 """The results of a study as files: table.md, table.json and figures."""
 
 import os
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from foveate.evaluation.bounds import lower_bounds
-from foveate.evaluation.evaluate import Row, prepare
+from foveate.evaluation.comparison import Comparison, as_json, compare
+from foveate.evaluation.evaluate import prepare
+from foveate.evaluation.statistics import group_by
 from foveate.experiment.presets import PPO
+from foveate.experiment.run_folder import METRICS, read_validations
 from foveate.io.files import write_atomic, write_document
 from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest
 from foveate.plotting.animation import animate
+from foveate.plotting.comparison import Curves, duel_figure, learning_curves
 from foveate.plotting.episode_data import EpisodeData, suite_data
-from foveate.study.comparison import Comparison, as_json, compare
-from foveate.study.figures import curve_of, duel_figure, learning_curves, pareto_figure
-from foveate.study.figures_robustness import robustness_figure
-from foveate.study.methods import Acting, Bench, can_train
-from foveate.study.robustness import as_json as worlds_as_json
-from foveate.study.robustness import verdicts
+from foveate.scenario.scenes import Scene
+from foveate.study import robustness
+from foveate.study.figures import pareto_figure, robustness_figure
+from foveate.study.methods import Acting, Benchmark, can_train
 from foveate.study.run import Results, Trained, trained_policy
-from foveate.study.study import RowsUnit, Study, bench_of
+from foveate.study.study import Study, benchmark_of
 from foveate.study.tables import tables, worlds
 
 VERSION = 1
 """Of the files of comparisons."""
 
-
-TABLE, DATA = "table.md", "table.json"
-
-
-ROBUSTNESS = "robustness.png"
-
-
-EPISODES = "episodes"
-"""Folder of moving pictures."""
-
+TABLE, DATA, EPISODES = "table.md", "table.json", "episodes"
 
 RIVAL = "ppo"
-"""Whom the reference meets in the pictures, if it is there; else the best method made by hand."""
+"""The reference is drawn beside it; where it is missing, beside the best heuristic."""
 
 
 def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     """Write all files into the folder `out`, and give what they show: a comparison for each first error."""
-    bench, trained = bench_of(study, study.initial_errors[0]), results.trained
-    problem = bench.suite.problem
-    lowest = lower_bounds(problem, bench.suite.scenes)
-    comparisons = []
-    for error in study.initial_errors:
-        parts = [part for part in results.parts if part.initial_error == error]
-        comparisons.append(compare(parts, study.reference, lowest, problem.motion.state_size))
-    write_document(out / DATA, "comparison", VERSION, as_json(comparisons, _facts(study, trained)))
-    figures = {"pareto.png": "Score against the time of a decision"}
-    pareto_figure(comparisons[0].overall, out / "pareto.png")
-    if trained:
-        figures["learning.png"] = "Held-out score against environment steps and time: mean over seeds, worst to best"
-        learning_curves(_curves(trained), out / "learning.png")
-    for protocol in study.protocols:
-        if (rival := _rival(study, comparisons[0], protocol)) is not None:
-            file = f"trajectories-{protocol}.png"
-            figures[file] = f"{study.reference} and {rival.name} in the same scenes, {protocol} protocol"
-            duel_figure((study.reference, rival.name), _duels(study, bench, out, rival, protocol), out / file)
-    if results.points:
-        figures[ROBUSTNESS] = "True score in worlds that differ from training by one factor"
-        _robustness(study, out, results)
+    page = _Page(study=study, out=out, results=results, benchmark=benchmark_of(study, study.initial_errors[0]))
+    suite = page.benchmark.suite
+    lowest, state_size = lower_bounds(suite.problem, suite.scenes), suite.problem.motion.state_size
+    by_error = group_by(results.parts, lambda part: part.initial_error)
+    comparisons = [compare(parts, study.reference, lowest, state_size) for parts in by_error.values()]
+    write_document(out / DATA, "comparison", VERSION, as_json(comparisons, page.facts()))
+    figures = dict(page.figures(comparisons[0]))
     if study.suite == "true-view" and not study.quick:
-        _episodes(study, bench, out, comparisons[0])
-    found = [table for one in comparisons for protocol in study.protocols for table in tables(one, protocol)]
+        page.animations(comparisons[0])
+    shown = [table for one in comparisons for protocol in study.protocols for table in tables(one, protocol)]
     if results.points:
-        found.append(worlds(study.factors, results.points))
-    text = markdown(heading(study), _conditions(study, trained), found, figures)
-    write_atomic(out / TABLE, text.encode())
+        shown.append(worlds(study.factors, results.points))
+    write_atomic(out / TABLE, markdown(heading(study), page.conditions(), shown, figures).encode())
     return comparisons
 
 
-def _robustness(study: Study, out: Path, results: Results) -> None:
-    found = {factor.name: verdicts(factor, results.points) for factor in study.factors}
-    label = f"{study.protocols[0]} score [nat per target]"
-    robustness_figure(study.factors, found, out / ROBUSTNESS, label)
-    about = {"protocol": study.protocols[0], "initial_error": study.initial_errors[0]}
-    facts = {**_facts(study, results.trained), **about}
-    write_document(out / "robustness.json", "robustness", VERSION, worlds_as_json(study.factors, results.points, facts))
-
-
-def _episodes(study: Study, bench: Bench, out: Path, comparison: Comparison) -> None:
-    """Moving pictures of the reference's best and worst scene in every cell, by its first training seed."""
-    method = next(one for one in study.methods if one.name == study.reference)
-    assert isinstance(method, Acting), "the reference of this suite is a policy"
-    part = next(part for part in comparison.parts if part.method == study.reference)
-    unit = RowsUnit(method=method, seed=part.training_seed, protocol=part.protocol)
-    trained = None if unit.training is None else trained_policy(out, unit.training)
-    cells: dict[tuple[str, int], list[Row]] = {}
-    for row in part.rows:
-        cells.setdefault((row.motion, row.targets), []).append(row)
-    chosen = {}
-    for (motion, targets), rows in cells.items():
-        ranked = sorted(rows, key=lambda row: row.score if row.score is not None else 0.0)
-        chosen |= {f"{targets}-{motion}-{word}": row.scene for word, row in (("easy", ranked[-1]), ("hard", ranked[0]))}
-    by_id = {scene.id: scene for scene in bench.suite.scenes}
-    scenes = [by_id[scene] for scene in chosen.values()]
-    suite = prepare(bench.suite.problem, bench.world.scenario.scenes, scenes, study.noise_seed)
-    (out / EPISODES).mkdir(exist_ok=True)
-    for name, shot in zip(
-        chosen, suite_data(suite, method.policy(bench.world, trained), part.protocol, method.name), strict=True
-    ):
-        animate(shot, out / EPISODES / f"{name}.gif")
-
-
 def heading(study: Study) -> str:
-    """What a study is, in a line; a quick one says so."""
+    """A line about a study; a quick one says so."""
     scenes = f"{study.scenes_per_cell} scenes a cell"
     if study.quick:
         return f"QUICK LOOK, not a result: {scenes}, short trainings"
     return f"The true field of view, {scenes}" if study.suite == "true-view" else f"The paper's table 1, {scenes}"
 
 
-def _facts(study: Study, trained: Sequence[Trained]) -> dict[str, Any]:
-    """What the data were made with."""
+@dataclass(frozen=True, kw_only=True)
+class _Page:
+    """Figures and facts of a study."""
+
+    study: Study
+    out: Path
+    results: Results
+    benchmark: Benchmark
+
+    def figures(self, comparison: Comparison) -> Iterator[tuple[str, str]]:
+        """Draw all figures, and give their names and what they show."""
+        study, out, reference = self.study, self.out, self.study.reference
+        pareto_figure(comparison.overall, out / "pareto.png")
+        yield "pareto.png", "Score against the time of a decision"
+        if self.results.trained:
+            learning_curves(_learners(self.results.trained), out / "learning.png")
+            yield "learning.png", "Held-out score against environment steps and time: mean over seeds, worst to best"
+        for protocol in study.protocols:
+            if (rival := self._rival(comparison, protocol)) is not None:
+                file = f"trajectories-{protocol}.png"
+                duel_figure((reference, rival), self._duels(rival, protocol), out / file)
+                yield file, f"{reference} and {rival} in the same scenes, {protocol} protocol"
+        if self.results.points:
+            self._robustness()
+            yield "robustness.png", "True score in worlds that differ from training by one factor"
+
+    def _robustness(self) -> None:
+        study, points = self.study, self.results.points
+        verdicts = {factor.name: robustness.verdicts(factor, points) for factor in study.factors}
+        protocol, error = study.protocols[0], study.initial_errors[0]
+        robustness_figure(study.factors, verdicts, self.out / "robustness.png", f"{protocol} score [nat per target]")
+        facts = {**self.facts(), "protocol": protocol, "initial_error": error}
+        data = robustness.as_json(study.factors, points, facts)
+        write_document(self.out / "robustness.json", "robustness", VERSION, data)
+
+    def animations(self, comparison: Comparison) -> None:
+        """Animate the reference's best and worst scene of every cell, by its first training seed."""
+        part = next(part for part in comparison.parts if part.method == self.study.reference)
+        scenes = {scene.id: scene for scene in self.benchmark.suite.scenes}
+        chosen: dict[str, Scene] = {}
+        for (targets, motion), rows in group_by(part.rows, lambda row: (row.targets, row.motion)).items():
+            ranked = sorted(rows, key=lambda row: row.score or 0.0)
+            chosen[f"{targets}-{motion}-easy"] = scenes[ranked[-1].scene]
+            chosen[f"{targets}-{motion}-hard"] = scenes[ranked[0].scene]
+        (self.out / EPISODES).mkdir(exist_ok=True)
+        episodes = self._episodes(part.method, part.training_seed, part.protocol, list(chosen.values()))
+        for name, data in zip(chosen, episodes, strict=True):
+            animate(data, self.out / EPISODES / f"{name}.gif")
+
+    def _duels(self, rival: str, protocol: str) -> list[tuple[EpisodeData, EpisodeData]]:
+        """Reference and rival in the first biased scene of every number of targets, by the first training seed."""
+        biased = [scene for scene in self.benchmark.suite.scenes if scene.motion == "biased"]
+        scenes = [group[0] for group in group_by(biased, lambda scene: len(scene.targets)).values()]
+        both = [self._episodes(name, self.study.seeds[0], protocol, scenes) for name in (self.study.reference, rival)]
+        return list(zip(*both, strict=True))
+
+    def _episodes(self, name: str, seed: int | None, protocol: str, scenes: list[Scene]) -> list[EpisodeData]:
+        method, experiment = self.study.method(name), self.benchmark.experiment
+        assert isinstance(method, Acting), "only policies are drawn"
+        policy = method.policy(experiment, trained_policy(self.out, method, seed))
+        suite = prepare(self.benchmark.suite.problem, experiment.scenario.scenes, scenes, self.study.noise_seed)
+        return suite_data(suite, policy, protocol, name)
+
+    def _rival(self, comparison: Comparison, protocol: str) -> str | None:
+        """The method that the reference is drawn with; None where one of the two is no policy."""
+        policies = [method.name for method in self.study.methods if isinstance(method, Acting)]
+        if self.study.reference not in policies:
+            return None
+        if RIVAL in policies and self.study.reference != RIVAL:
+            return RIVAL
+        ranked = sorted((one for one in comparison.overall if one.protocol == protocol), key=lambda one: -one.mean)
+        best = next((one.method for one in ranked if one.family == "made by hand"), None)
+        return best if best in policies else None
+
+    def facts(self) -> dict[str, Any]:
+        """The origin of the data, for programs."""
+        study = self.study
+        names = ("suite", "quick", "scene_seed", "scenes_per_cell", "targets", "noise_seed")
+        return {
+            **provenance(),
+            **{name: getattr(study, name) for name in names},
+            "scenes": "table1",
+            "training_seeds": list(study.seeds),
+            "world": digest(study.experiment),
+            "trainings": [
+                {"name": one.name, "seed": one.seed, "experiment": digest(one.experiment), **asdict(one.outcome)}
+                for one in self.results.trained
+            ],
+        }
+
+    def conditions(self) -> dict[str, str]:
+        """The same for readers."""
+        study, made = self.study, provenance()
+        ended = {f"{one.name}-{one.seed}": one.outcome for one in self.results.trained}
+        rollbacks = [f"{name} ({outcome.rollbacks})" for name, outcome in ended.items() if outcome.rollbacks]
+        stopped = [f"{name}: {outcome.stopped}" for name, outcome in ended.items() if outcome.stopped]
+        missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]
+        return {
+            "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
+            f"one noise draw a scene (seed {study.noise_seed}), the same for every method",
+            "training seeds": ", ".join(map(str, study.seeds)) + " (trainings cut short)" * study.quick,
+            "reference": study.reference,
+            "collapsed trainings that went back to their best": ", ".join(rollbacks) or "none",
+            "trainings that stopped early": "; ".join(stopped) or "none",
+            "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
+            "versions": f"foveate {made['foveate']}, jax {made['jax']}, {made['device']}, {os.cpu_count()} cores",
+        }
+
+
+def _learners(trained: Sequence[Trained]) -> dict[str, Curves]:
+    """The trainings of each learner, and the protocol that selects its best policy."""
     return {
-        **provenance(),
-        "suite": study.suite,
-        "scenes": "table1",
-        "quick": study.quick,
-        "scene_seed": study.scene_seed,
-        "scenes_per_cell": study.scenes_per_cell,
-        "targets": study.targets,
-        "noise_seed": study.noise_seed,
-        "training_seeds": list(study.seeds),
-        "world": digest(study.world),
-        "trainings": [
-            {"name": one.name, "seed": one.seed, "experiment": digest(one.experiment), **asdict(one.outcome)}
-            for one in trained
-        ],
+        name: (group[0].experiment.training.select, [read_validations(one.run / METRICS) for one in group])
+        for name, group in group_by(trained, lambda one: one.name).items()
     }
-
-
-def _conditions(study: Study, trained: Sequence[Trained]) -> dict[str, str]:
-    """The same for readers."""
-    stopped = [f"{one.name}-{one.seed}: {one.outcome.stopped}" for one in trained if one.outcome.stopped]
-    missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]
-    made = provenance()
-    rollbacks = [f"{one.name}-{one.seed} ({one.outcome.rollbacks})" for one in trained if one.outcome.rollbacks]
-    return {
-        "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
-        f"one noise draw a scene (seed {study.noise_seed}), the same for every method",
-        "training seeds": ", ".join(map(str, study.seeds)) + (" (trainings cut short)" if study.quick else ""),
-        "reference": study.reference,
-        "collapsed trainings that went back to their best": ", ".join(rollbacks) or "none",
-        "trainings that stopped early": "; ".join(stopped) or "none",
-        "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
-        "versions": f"foveate {made['foveate']}, jax {made['jax']}, {made['device']}, {os.cpu_count()} cores",
-    }
-
-
-def _curves(trained: Sequence[Trained]):
-    """The learning curves by learner, and the protocol that judged each."""
-    found: dict[str, tuple[str, list]] = {}
-    for one in trained:
-        select = one.experiment.training.select
-        found.setdefault(one.name, (select, []))[1].append(curve_of(one.run))
-    return found
-
-
-def _rival(study: Study, comparison: Comparison, protocol: str) -> Acting | None:
-    """Whom the reference is drawn with; None where one of the two is no policy."""
-    methods = {method.name: method for method in study.methods if isinstance(method, Acting)}
-    if study.reference not in methods:
-        return None
-    if RIVAL in methods and study.reference != RIVAL:
-        return methods[RIVAL]
-    by_hand = [one for one in comparison.overall if one.protocol == protocol and one.family == "made by hand"]
-    best = max(by_hand, key=lambda one: one.mean, default=None)
-    return None if best is None else methods.get(best.method)
-
-
-def _duels(
-    study: Study, bench: Bench, out: Path, rival: Acting, protocol: str
-) -> list[tuple[EpisodeData, EpisodeData]]:
-    """Both in the first biased scene of every number of targets; of trained ones the policy of the first seed."""
-    first: dict[int, Any] = {}
-    for scene in bench.suite.scenes:
-        if scene.motion == "biased":
-            first.setdefault(len(scene.targets), scene)
-    scenes = list(first.values())
-    suite = prepare(bench.suite.problem, bench.world.scenario.scenes, scenes, study.noise_seed)
-    shown = []
-    for method in (next(one for one in study.methods if one.name == study.reference), rival):
-        assert isinstance(method, Acting)
-        unit = RowsUnit(method=method, seed=study.seeds[0], protocol=protocol)
-        policy = None if unit.training is None else trained_policy(out, unit.training)
-        shown.append(suite_data(suite, method.policy(study.world, policy), protocol, method.name))
-    return list(zip(*shown, strict=True))

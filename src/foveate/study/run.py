@@ -1,47 +1,45 @@
-"""Many methods on one suite, in pieces that are kept: what is done is not done again, what was cut short goes on.
+"""Jobs of a comparison, each kept in a file when it is done: the same command continues where it was interrupted.
 
-A unit of work is a training, or the rows of a method for one training seed and protocol. Its file holds a key of all
-that its result depends on, and is written whole when the unit is done.
+A job is a training, the rows of a method for one training seed and protocol, or its scores under a factor.
 """
 
 import hashlib
+import json
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
+from foveate import __version__
 from foveate.errors import InputError
+from foveate.evaluation.comparison import Part
 from foveate.evaluation.evaluate import Row
+from foveate.evaluation.statistics import group_by
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
-from foveate.io.files import read_document, sole_writer, write_atomic, write_document
+from foveate.io.cache import Job
+from foveate.io.files import sole_writer, write_atomic
+from foveate.io.toml import digest
 from foveate.learning.train import train
+from foveate.scenario.factors import Factor
 from foveate.simulation.records import Policy
-from foveate.study.comparison import Part
-from foveate.study.methods import Bench
-from foveate.study.robustness import Point, points
-from foveate.study.study import RowsUnit, Study, TrainingUnit, WorldsUnit, bench_of, key, units, worlds_of
+from foveate.study.methods import Benchmark, Method, Training, check_rows
+from foveate.study.robustness import Point, measure
+from foveate.study.study import InitialError, Study, benchmark_of, changed_benchmarks
 
 VERSION = 1
-"""Of the files of units."""
+"""Of the files of jobs; raised, too, when a method gives other rows than before."""
 
-
-UNITS, TRAININGS = "units", "trainings"
-
-
-T = TypeVar("T")
-
+JOBS, TRAININGS = "units", "trainings"
+"""Folders of the results of jobs, and of run folders."""
 
 Say = Callable[[str], None]
 """Takes a line for the user."""
-
-
-Report = Callable[[Validation, int], None]
-"""Takes every check of a training, and of how many epochs or steps it has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +53,8 @@ class Trained:
     outcome: Outcome
 
 
-@dataclass(frozen=True, kw_only=True)
-class Results:
-    """What the units of a study gave: rows on the suite, trainings, scores in changed worlds."""
+class Results(NamedTuple):
+    """Results of all jobs: rows on the suite, trainings, scores in changed scenarios."""
 
     parts: list[Part]
     trained: list[Trained]
@@ -67,163 +64,187 @@ class Results:
 def reproduce(
     study: Study,
     out: Path,
-    report: Callable[[int, str], None] = lambda done, what: None,
+    on_progress: Callable[[int, str], None] = lambda done, label: None,
     say: Say = lambda line: None,
 ) -> Results:
-    """Do what is not done yet, and give all results.
+    """Do the jobs of a study that are not done yet, and give the results of all.
 
-    `report` is called with the number of units that are done and what is being done now. Raises ValueError where
-    another process is at work in `out`.
+    `on_progress` takes the number of jobs that are done and what is being done. Raises ValueError where another process
+    is at work in `out`.
     """
-    (out / UNITS).mkdir(parents=True, exist_ok=True)
+    (out / JOBS).mkdir(parents=True, exist_ok=True)
+    records: list[Any] = []
     with sole_writer(out):
-        return _reproduce(study, out, report, say)
+        for done, job in enumerate(jobs(study, out, say)):
+
+            def note(line: str, done: int = done, label: str = job.label) -> None:
+                on_progress(done, f"{label}: {line}")
+
+            note("beginning")
+            records += job.result(note, on_rejected=say)
+    by_kind = group_by(records, type)
+    return Results(by_kind.get(Part, []), by_kind.get(Trained, []), by_kind.get(Point, []))
 
 
-def _reproduce(study: Study, out: Path, report: Callable[[int, str], None], say: Say) -> Results:
-    benches = {error: bench_of(study, error) for error in study.initial_errors}
-    worlds = {factor.name: worlds_of(study, factor) for factor in study.factors}
-    found = Results(parts=[], trained=[], points=[])
-    for done, unit in enumerate(units(study)):
-        path = out / UNITS / unit.file
-
-        def note(what: str, done: int = done, name: str = unit.what) -> None:
-            report(done, f"{name}: {what}")
-
-        note("beginning")
-        if isinstance(unit, TrainingUnit):
-            wanted = key(study, unit, ())
-            found.trained.append(_training(unit, out / TRAININGS / unit.name, path, wanted, note, say))
-        elif isinstance(unit, RowsUnit):
-            bench = benches[unit.initial_error]
-            wanted = _with_weights(key(study, unit, (bench,)), unit, out)
-            found.parts.append(_rows(unit, bench, out, path, wanted, note, say))
-        else:
-            here = worlds[unit.factor.name]
-            wanted = _with_weights(key(study, unit, list(here.values())), unit, out)
-            found.points.extend(_points(unit, here, out, path, wanted, note, say))
-    return found
+def jobs(study: Study, out: Path, say: Say = lambda line: None) -> list[Job[Any]]:
+    """All jobs in the order in which they are done: a training comes before the first job that needs it."""
+    factory, ordered = _Factory(study=study, out=out, say=say), dict[Path, Job[Any]]()
+    policies = [(method, seed) for method in study.methods for seed in study.seeds_of(method)]
+    work = [
+        (*policy, factory.rows(*policy, protocol, error))
+        for policy in policies for error in study.initial_errors for protocol in study.protocols
+    ]  # fmt: skip
+    robust = [(method, seed) for method, seed in policies if method.name in study.robust]
+    work += [(*policy, factory.points(*policy, factor)) for factor in study.factors for policy in robust]
+    for method, seed, job in work:
+        if method.training is not None and seed is not None:
+            training = factory.training(method.training, seed)
+            ordered.setdefault(training.path, training)
+        if job.path in ordered:
+            raise InputError(f"method {method.name}: its file {job.path.name} is another method's: rename it")
+        ordered[job.path] = job
+    return list(ordered.values())
 
 
-def _kept(path: Path, wanted: str, say: Say, read: Callable[[Any], T]) -> T | None:
-    """What a unit's file holds; None where there is none, or one made with other settings or damaged."""
-    if not path.exists():
-        return None
-    try:
-        found = read_document(path, "unit", VERSION, "file of a unit")
-    except ValueError as error:
-        say(f"{error}: made anew")
-        return None
-    if found.get("key") != wanted:
-        say(f"{path}: was made with other settings, or by another version: made anew")
-        return None
-    try:
-        return read(found["result"])
-    except (KeyError, TypeError):
-        say(f"{path}: holds something else than it should: made anew")
-        return None
+def trained_policy(out: Path, method: Method, seed: int | None) -> Policy | None:
+    """The policy that the method's training gave for a seed; None for a method without training."""
+    return None if method.training is None else load_run(out / TRAININGS / f"{method.training.name}-{seed}")[1]
 
 
-def _training(unit: TrainingUnit, run: Path, path: Path, wanted: str, note: Say, say: Say) -> Trained:
-    """Train, or go on with what was begun, unless it is done."""
-    experiment = unit.training.experiment
-    outcome = _kept(path, wanted, say, lambda result: Outcome(**result))
-    if outcome is None or not (run / BEST).exists():
-        path.unlink(missing_ok=True)
+@dataclass(frozen=True, kw_only=True)
+class _Factory:
+    """Makes the jobs of a study whose results are kept in `out`."""
 
-        def report(check: Validation, total: int) -> None:
-            done = check.env_steps if isinstance(experiment.training, PPOSettings) else check.epoch
-            note(f"{done} of {total}, held-out {check.held_out:.2f}")
-            if check.event:
-                say(f"{run}: epoch {check.epoch}: {check.event}")
+    study: Study
+    out: Path
+    say: Say
 
-        outcome = _train(unit, run, path.with_suffix(".begun"), wanted, report, say)
+    def _job(self, file: str, **fields: Any) -> Job[Any]:
+        return Job(path=self.out / JOBS / file, kind="unit", version=VERSION, **fields)
+
+    @cached_property
+    def benchmarks(self) -> dict[InitialError | None, Benchmark]:
+        return {error: benchmark_of(self.study, error) for error in self.study.initial_errors}
+
+    @cached_property
+    def changed(self) -> dict[str, dict[float, Benchmark]]:
+        return {factor.name: changed_benchmarks(self.study, factor) for factor in self.study.factors}
+
+    def training(self, training: Training, seed: int) -> Job[Any]:
+        """The training of a policy, into its own run folder."""
+        run = self.out / TRAININGS / f"{training.name}-{seed}"
+
+        def records(outcome: Outcome) -> list[Trained]:
+            if not (run / BEST).exists():
+                raise InputError(f"{run}: has no weights")
+            return [Trained(name=training.name, seed=seed, run=run, experiment=training.experiment, outcome=outcome)]
+
+        return self._job(
+            f"training-{run.name}.json",
+            label=f"training {run.name}",
+            key=lambda: _training_key(training, seed),
+            compute=lambda note: records(self._train(training, seed, run, note)),
+            encode=lambda records: asdict(records[0].outcome),
+            decode=lambda result: records(Outcome(**result)),
+        )
+
+    def _train(self, training: Training, seed: int, run: Path, note: Say) -> Outcome:
+        """Resume the run folder where it was begun under the same key; else train from the start."""
+        experiment, key = training.experiment, _training_key(training, seed)
+        is_ppo = isinstance(experiment.training, PPOSettings)
+
+        def report(validation: Validation, total: int) -> None:
+            done = validation.env_steps if is_ppo else validation.epoch
+            note(f"{done} of {total}, held-out {validation.held_out:.2f}")
+            if validation.event:
+                self.say(f"{run}: epoch {validation.epoch}: {validation.event}")
+
+        outcome, mark = None, self.out / JOBS / f"training-{run.name}.begun"
+        is_begun = all(path.exists() for path in (mark, run / LAST, run / BEST)) and mark.read_text() == key
+        if is_begun and not is_ppo:  # PPO cannot resume
+            try:
+                outcome = train(experiment, run, seed, True, report)
+            except ValueError as error:
+                self.say(str(error))
+        if outcome is None:
+            if run.exists():
+                self.say(f"{run}: cannot be resumed: trained again")
+                shutil.rmtree(run)
+            write_atomic(mark, key.encode())
+            outcome = train(experiment, run, seed, False, report)
         if not math.isfinite(outcome.best_score):
-            raise InputError(f"{run}: no check of this training was finite, so there is no policy: {outcome.stopped}")
-        write_document(path, "unit", VERSION, {"key": wanted, "result": asdict(outcome)})
-    return Trained(name=unit.training.name, seed=unit.seed, run=run, experiment=experiment, outcome=outcome)
+            raise InputError(f"{run}: no validation was finite, so there is no policy: {outcome.stopped}")
+        return outcome
+
+    def rows(self, method: Method, seed: int | None, protocol: str, error: InitialError | None) -> Job[Any]:
+        """A method on all scenes of the suite."""
+        words = [_label(method, seed), protocol, *([] if error is None else [error])]
+
+        def records(rows: Sequence[Row]) -> list[Part]:
+            about = {"method": method.name, "family": method.family, "training_seed": seed, "protocol": protocol}
+            return [Part(**about, rows=tuple(rows), initial_error=error)]
+
+        def compute(note: Say) -> list[Part]:
+            benchmark, policy = self.benchmarks[error], trained_policy(self.out, method, seed)
+            total = len(benchmark.suite.scenes)
+            rows = method.rows(benchmark, protocol, policy, lambda done: note(f"{done} of {total} episodes"))
+            check_rows(rows, benchmark.suite, method.name, protocol)
+            return records(rows)
+
+        return self._job(
+            f"rows-{'-'.join(words)}.json",
+            label=", ".join(words),
+            key=lambda: self._key(method, seed, protocol, [self.benchmarks[error]]),
+            compute=compute,
+            encode=lambda records: [asdict(row) for row in records[0].rows],
+            decode=lambda result: records([Row(**row) for row in result]),
+        )
+
+    def points(self, method: Method, seed: int | None, factor: Factor) -> Job[Any]:
+        """A method in all scenarios of a factor, under the first protocol."""
+        protocol = self.study.protocols[0]
+
+        def compute(note: Say) -> list[Point]:
+            policy, points = trained_policy(self.out, method, seed), []
+            for value, benchmark in self.changed[factor.name].items():
+                about = {"factor": factor.name, "value": value, "method": method.name, "training_seed": seed}
+                points.append(Point(**about, **measure(method, benchmark, protocol, policy)))
+                note(f"{len(points)} of {len(factor.values)} scenarios")
+            return points
+
+        return self._job(
+            f"worlds-{_label(method, seed)}-{factor.name}.json",
+            label=f"{_label(method, seed)}, {factor.name} changed",
+            key=lambda: self._key(method, seed, protocol, list(self.changed[factor.name].values())),
+            compute=compute,
+            encode=lambda points: [asdict(point) for point in points],
+            decode=lambda result: [Point(**point) for point in result],
+        )
+
+    def _key(self, method: Method, seed: int | None, protocol: str, benchmarks: Sequence[Benchmark]) -> str:
+        words: dict[str, Any] = {
+            "worlds": [digest(benchmark.experiment) for benchmark in benchmarks],
+            "scenes": [asdict(scene) for benchmark in benchmarks for scene in benchmark.suite.scenes],
+            "noise_seed": self.study.noise_seed,
+            "method": [type(method).__name__, method.name, method.revision, method.settings(protocol)],
+            "protocol": protocol,
+        }
+        if method.training is None or seed is None:
+            return _digest(**words)
+        # Rows are those of the very weights that lie there: the same training may give others on another machine.
+        weights = (self.out / TRAININGS / f"{method.training.name}-{seed}" / BEST).read_bytes()
+        key = _digest(**words, training=_training_key(method.training, seed))
+        return f"{key}-{hashlib.sha256(weights).hexdigest()[:16]}"
 
 
-def _train(unit: TrainingUnit, run: Path, mark: Path, wanted: str, report: Report, say: Say) -> Outcome:
-    """Go on with the run folder where it was begun under the same key, which `mark` holds; else train anew."""
-    experiment = unit.training.experiment
-    if _is_begun(run, mark, wanted, experiment):
-        try:
-            return train(experiment, run, unit.seed, True, report)
-        except ValueError as error:
-            say(str(error))
-    if run.exists():
-        say(f"{run}: cannot be gone on with: trained anew")
-        shutil.rmtree(run)
-    write_atomic(mark, wanted.encode())
-    return train(experiment, run, unit.seed, False, report)
+def _training_key(training: Training, seed: int) -> str:
+    return _digest(experiment=digest(training.experiment), seed=seed)
 
 
-def _is_begun(run: Path, mark: Path, wanted: str, experiment: Experiment) -> bool:
-    can_resume = not isinstance(experiment.training, PPOSettings)
-    there = mark.exists() and (run / LAST).exists() and (run / BEST).exists()
-    return can_resume and there and mark.read_text() == wanted
+def _digest(**words: Any) -> str:
+    text = json.dumps({"foveate": __version__, "version": VERSION, **words}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _with_weights(wanted: str, unit: RowsUnit | WorldsUnit, out: Path) -> str:
-    """The key of a unit; what a trained policy does is of the very weights that lie there."""
-    if unit.training is None:
-        return wanted
-    weights = (out / TRAININGS / unit.training.name / BEST).read_bytes()
-    return f"{wanted}-{hashlib.sha256(weights).hexdigest()[:16]}"
-
-
-def _rows(unit: RowsUnit, bench: Bench, out: Path, path: Path, wanted: str, note: Say, say: Say) -> Part:
-    """The rows of a unit, made now or kept."""
-    rows = _kept(path, wanted, say, lambda result: [Row(**row) for row in result])
-    if rows is None:
-        total = len(bench.suite.scenes)
-        policy = None if unit.training is None else trained_policy(out, unit.training)
-        rows = unit.method.rows(bench, unit.protocol, policy, lambda done: note(f"{done} of {total} episodes"))
-        _check(unit, bench, rows)
-        write_document(path, "unit", VERSION, {"key": wanted, "result": [asdict(row) for row in rows]})
-    method = unit.method
-    return Part(
-        method=method.name,
-        family=method.family,
-        training_seed=unit.seed,
-        protocol=unit.protocol,
-        rows=tuple(rows),
-        initial_error=unit.initial_error,
-    )
-
-
-def _points(
-    unit: WorldsUnit, worlds: Mapping[float, Bench], out: Path, path: Path, wanted: str, note: Say, say: Say
-) -> list[Point]:
-    """The points of a unit, made now or kept."""
-    found = _kept(path, wanted, say, lambda result: [_point(one) for one in result])
-    if found is None:
-        policy = None if unit.training is None else trained_policy(out, unit.training)
-
-        def report(done: int) -> None:
-            note(f"{done} of {len(worlds)} worlds")
-
-        found = points(worlds, unit.factor, unit.method, unit.seed, policy, unit.protocol, report)
-        write_document(path, "unit", VERSION, {"key": wanted, "result": [asdict(point) for point in found]})
-    return found
-
-
-def _point(fields: dict[str, Any]) -> Point:
-    """A point as it was before it was written: JSON knows lists only."""
-    return replace(Point(**fields), scores=tuple(fields["scores"]), seen=tuple(fields["seen"]))
-
-
-def _check(unit: RowsUnit, bench: Bench, rows: Sequence[Row]) -> None:
-    """Raise ValueError where rows are not one an episode of the suite, under the unit's method and protocol."""
-    suite = bench.suite
-    expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
-    if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
-        raise InputError(f"method {unit.method.name}: gave {len(rows)} rows: expected one an episode of the suite")
-    if {(row.method, row.protocol) for row in rows} - {(unit.method.name, unit.protocol)}:
-        raise InputError(f"method {unit.method.name}: its rows name another method or protocol than {unit.protocol}")
-
-
-def trained_policy(out: Path, unit: TrainingUnit) -> Policy:
-    """The policy of a training that is done."""
-    return load_run(out / TRAININGS / unit.name)[1]
+def _label(method: Method, seed: int | None) -> str:
+    return method.name if seed is None else f"{method.name}-{seed}"

@@ -1,4 +1,4 @@
-"""Closeness, paired differences and tables from rows made by hand."""
+"""Normalised scores and paired differences of made-up rows, against scipy."""
 
 from dataclasses import replace
 
@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
+from foveate.evaluation.bounds import with_normalised_scores
+from foveate.evaluation.comparison import Part, as_json, compare
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.summary import summarise
-from foveate.io.tables import markdown
-from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import Scene
-from foveate.scenario.sensor import SensorSettings
-from foveate.study.comparison import Part, as_json, compare
-from foveate.study.tables import tables
 
 SCENES = 8
 CELLS = (("unbiased", 3), ("biased", 5))
-FLOORS = {("unbiased", 3): -1.0, ("biased", 5): -2.0}
+LOWEST = {("unbiased", 3): -1.0, ("biased", 5): -2.0}
 
 
 def rows(method: str, scores: np.ndarray, protocol: str = "true", seconds: float = 1e-3) -> tuple[Row, ...]:
@@ -51,7 +46,7 @@ def comparison():
         *(part("net", "trained", scores, seed) for seed, scores in SEEDS.items()),
         part("other", "planned", OTHER),
     ]
-    return compare(parts, "net", FLOORS, 2)
+    return compare(parts, "net", LOWEST, 2)
 
 
 def test_a_scene_counts_once_however_many_seeds(comparison):
@@ -63,15 +58,9 @@ def test_a_scene_counts_once_however_many_seeds(comparison):
     assert cell.ci95 == pytest.approx(expected)
 
 
-def test_closeness_is_refused_for_a_filter_that_learns_from_looking_in_vain():
-    scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=3)
-    with pytest.raises(ValueError, match="normalised_score is of a filter"):
-        lower_bounds(Scenario(sensor=SensorSettings(missed_detections="used")).problem(), [scene])
-
-
-def test_closeness_runs_from_the_floor_to_the_omniscient(comparison):
+def test_normalised_score_runs_from_the_lower_bound_to_the_oracle(comparison):
     for cell in comparison.summary:
-        low = FLOORS[cell.motion, cell.targets]
+        low = LOWEST[cell.motion, cell.targets]
         assert cell.normalised_score == pytest.approx((cell.mean - low) / (9.0 - low))
     (overall,) = [one for one in comparison.overall if one.method == "omniscient"]
     assert overall.normalised_score == pytest.approx(1.0)
@@ -97,46 +86,11 @@ def test_differences_are_paired_by_scene_and_corrected_over_cells(comparison):
 
 def test_order_of_the_rows_does_not_matter(comparison):
     shuffled = [replace(part, rows=part.rows[::-1]) for part in comparison.parts]
-    again = compare(shuffled, "net", FLOORS, 2)
+    again = compare(shuffled, "net", LOWEST, 2)
     for one in comparison.differences:
         (same,) = [o for o in again.differences if (o.method, o.motion) == (one.method, one.motion)]
         assert same.mean == pytest.approx(one.mean)
         assert same.p == pytest.approx(one.p)
-
-
-def test_tables_say_it(comparison):
-    found = tables(comparison, "true")
-    text = markdown("Made up", {"scenes": "8"}, found, {"a.png": "a picture"})
-    scores = found[0]
-    assert scores.header[2:4] == ("3 unbiased", "5 biased")
-    assert [row[0] for row in scores.rows] == ["omniscient", *sorted(("net", "other"), key=lambda m: -{
-        "net": (SEEDS[0] + SEEDS[10]).mean() / 2, "other": OTHER.mean()}[m])]  # fmt: skip
-    (mine,) = [row for row in scores.rows if row[0] == "other"]
-    half = stats.t.ppf(0.975, SCENES - 1) * stats.sem(OTHER[0])
-    assert mine[2] == f"{OTHER[0].mean():.2f} ± {half:.2f}"
-    assert mine[-1] == "1.0"
-    spread = next(row for row in found[-1].rows if row[1] == "std over seeds")
-    assert spread[2] == f"{np.std([SEEDS[0][0].mean(), SEEDS[10][0].mean()], ddof=1):.2f}"
-    assert text.startswith("# Made up\n")
-    assert "![a picture](a.png)" in text
-    for table in found:
-        assert {len(row) for row in table.rows} == {len(table.header)}
-    lines = text.splitlines()
-    assert lines.count("| method | kind | 3 unbiased | 5 biased |") == 6
-    assert sum(line.startswith("| other | planned |") for line in lines) == 8
-
-
-def test_tables_say_whether_the_filter_knows_its_errors():
-    """NEES 2 is within every band of 24 and 40 targets, 1.5 and 2.5 only within those of few."""
-    given = tuple(replace(row, nees_seen=1.0, seen_fraction=1.0, nees_unseen=None) for row in rows("net", BASE))
-    part = Part(method="net", family="trained", training_seed=None, protocol="true", rows=given,
-                initial_error="consistent")  # fmt: skip
-    found = {table.title: table for table in tables(compare([part], "net", FLOORS, 2), "true")}
-    nees = found["true, consistent first errors: NEES by cell"]
-    low, high = stats.chi2.interval(0.95, 2 * 3 * SCENES) / np.array(3 * SCENES)
-    assert nees.rows[0][2] == f"2.00 ({low:.2f} to {high:.2f}) / 1.00* / -"
-    (line,) = found["true, consistent first errors: what was seen, and whether the filter knows its errors"].rows
-    assert line[2:] == ("100%", "25.0%", "3.0", "0.20", "0.10", "0.40", "2.00", "1.00", "-", "0 of 2")
 
 
 def test_json_keeps_the_training_seed(comparison):
@@ -147,20 +101,8 @@ def test_json_keeps_the_training_seed(comparison):
     assert {row["training_seed"] for row in data["rows"] if row["method"] == "other"} == {None}
 
 
-def test_floors_are_means_over_the_scenes_of_a_cell():
-    problem = Scenario().problem()
-    scenes = [
-        Scene(id=f"{n}-{steps}", agent=(0.0,) * 3, targets=((1.0, 1.0),) * n, drift=((0.0, 0.0),) * n, horizon=steps)
-        for n, steps in ((1, 3), (1, 9), (2, 21))
-    ]
-    unseen = {steps: -2 * np.log(2.0 + 0.05**2 * steps) for steps in (3, 9, 21)}
-    found = lower_bounds(problem, scenes)
-    assert found["unbiased", 1] == pytest.approx((unseen[3] + unseen[9]) / 2)
-    assert found["unbiased", 2] == pytest.approx(unseen[21])
-
-
-def test_without_an_omniscient_there_is_no_closeness():
+def test_without_an_omniscient_there_is_no_normalised_score():
     cells = summarise(rows("net", BASE), 2)
-    assert [cell.normalised_score for cell in with_normalised_scores(cells, [], FLOORS)] == [None, None]
+    assert [cell.normalised_score for cell in with_normalised_scores(cells, [], LOWEST)] == [None, None]
     low = summarise(rows("omniscient", np.array([[-1.0] * SCENES, [-2.0] * SCENES])), 2)
-    assert [cell.normalised_score for cell in with_normalised_scores(cells, low, FLOORS)] == [None, None]
+    assert [cell.normalised_score for cell in with_normalised_scores(cells, low, LOWEST)] == [None, None]
