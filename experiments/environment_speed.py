@@ -1,4 +1,4 @@
-"""How many steps a second the vector environment takes, the random actions of its users not counted.
+"""Measure the steps per second of the vector environment, without the sampling of actions.
 
 python experiments/environment_speed.py [--environments 1024] [--seconds 5]
 """
@@ -14,7 +14,7 @@ import foveate.gym.envs
 
 
 def main() -> None:
-    """Step for some seconds, in each way that episodes can be told."""
+    """Step for some seconds with each kind of observation, under each protocol."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--environments", type=int, default=1024)
     options.add_argument("--seconds", type=float, default=5.0)

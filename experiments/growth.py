@@ -1,9 +1,9 @@
-"""How the time of a training step grows with targets, steps and episodes; and the memory of a long horizon.
+"""Measure how a training step's time grows with targets, steps and episodes, and the memory of a long horizon.
 
     python experiments/growth.py [--out experiments/growth] [--repeats 3]
 
-Writes growth.json and growth.png. Slopes are fitted to logarithms, from where the work is more than the fixed cost of
-a step: 1 is linear. The policy, its learner and everything else are the paper's.
+Writes growth.json and growth.png. Slopes are fitted to logarithms, over the sizes whose work exceeds the fixed cost of
+a step; 1 is linear. The policy, its learner and everything else are the paper's.
 """
 
 import argparse
@@ -37,12 +37,16 @@ SIZES = {
 FIXED = {"targets": 4, "steps": 8, "episodes": 16}
 LONG = {"targets": 8, "steps": 4096, "episodes": 64}
 PER_TARGET_M = 2.0
-LEAST_S = 0.002
-"""Below this a step is mostly what it costs whatever its size, and is left out of the fit."""
+FIT_FROM_S = 0.002
+"""Steps shorter than this are mostly fixed cost, and are left out of the fit."""
 
 
 def experiment_of(targets: int, steps: int, episodes: int) -> Experiment:
-    """The paper's, with so many targets in a box that holds five of its targets to the same area, and segments."""
+    """Return the paper's experiment at this size.
+
+    The box grows with the targets, at the density of five targets in the paper's; long horizons are rematerialised in
+    segments.
+    """
     paper = PRESETS["paper"]
     scenes = replace(
         paper.scenario.scenes,
@@ -58,7 +62,7 @@ def experiment_of(targets: int, steps: int, episodes: int) -> Experiment:
 
 
 def seconds_of(size: dict[str, int], repeats: int) -> float:
-    """The median time of a step of training [s], compiled."""
+    """Median time of a compiled training step [s]."""
     experiment = experiment_of(**size)
     problem = experiment.scenario.problem()
     learner = begin(experiment.policy.policy(problem, jax.random.key(0)), experiment.training)
@@ -68,21 +72,21 @@ def seconds_of(size: dict[str, int], repeats: int) -> float:
 
 
 def slope(sizes: np.ndarray, seconds: np.ndarray) -> float:
-    """Of the line through the logarithms, where a step takes longer than LEAST_S."""
-    counts = seconds > LEAST_S
-    return float(np.polyfit(np.log(sizes[counts]), np.log(seconds[counts]), 1)[0])
+    """Slope of the line through the logarithms of the steps that take longer than FIT_FROM_S."""
+    long_enough = seconds > FIT_FROM_S
+    return float(np.polyfit(np.log(sizes[long_enough]), np.log(seconds[long_enough]), 1)[0])
 
 
 def long_horizon() -> dict[str, float]:
-    """Memory and time of a step of training over a long horizon, in this process, which does nothing else."""
+    """Memory and time of a training step over a long horizon, measured in a process of its own."""
     seconds = seconds_of(LONG, 1)
     return {**LONG, "seconds": seconds, "peak_memory_mib": peak_memory_mib()}
 
 
-def draw(found: dict[str, dict], path: Path) -> None:
-    """Seconds a step over each size, with the fitted slopes."""
+def plot(growth: dict[str, dict], path: Path) -> None:
+    """Plot the seconds of a training step over each size, with the fitted slopes."""
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), sharey=True, layout="constrained")
-    for axis, (name, numbers) in zip(axes, found.items(), strict=True):
+    for axis, (name, numbers) in zip(axes, growth.items(), strict=True):
         sizes, seconds = np.array(numbers["sizes"], float), np.array(numbers["seconds"])
         axis.loglog(sizes, seconds, "o-", color="tab:blue", label=f"measured: slope {numbers['slope']:.2f}")
         axis.loglog(sizes, seconds[-1] * sizes / sizes[-1], ":", color="0.5", label="linear")
@@ -90,12 +94,12 @@ def draw(found: dict[str, dict], path: Path) -> None:
         axis.set(xlabel=name, title=others)
         axis.grid(alpha=0.3)
         axis.legend(frameon=False)
-    axes[0].set_ylabel("a training step [s]")
+    axes[0].set_ylabel("training step [s]")
     figure.savefig(path, dpi=130)
 
 
 def main() -> None:
-    """Measure, fit, write."""
+    """Measure the steps, fit the slopes, write both files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("experiments/growth"), help="folder to write to")
     parser.add_argument("--repeats", type=int, default=3)
@@ -105,20 +109,20 @@ def main() -> None:
         print(json.dumps(long_horizon()))
         return
     given.out.mkdir(parents=True, exist_ok=True)
-    found = {}
+    growth = {}
     for name, sizes in SIZES.items():
         seconds = []
         for size in sizes:
             seconds.append(seconds_of({**FIXED, name: size}, given.repeats))
             print(f"{size:6d} {name}: {seconds[-1]:.4f} s, load {os.getloadavg()[0]:.1f}", flush=True)
-        found[name] = {"sizes": sizes, "seconds": seconds, "slope": slope(np.array(sizes), np.array(seconds))}
-        print(f"{name}: slope {found[name]['slope']:.2f}")
+        growth[name] = {"sizes": sizes, "seconds": seconds, "slope": slope(np.array(sizes), np.array(seconds))}
+        print(f"{name}: slope {growth[name]['slope']:.2f}")
     command = [sys.executable, __file__, "--long"]
     long = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    print(f"{LONG}: {long['seconds']:.1f} s a step, peak {long['peak_memory_mib']:.0f} MiB")
-    text = json.dumps({"fixed": FIXED, "growth": found, "long_horizon": long}, indent=1)
+    print(f"{LONG}: {long['seconds']:.1f} s per step, peak {long['peak_memory_mib']:.0f} MiB")
+    text = json.dumps({"fixed": FIXED, "growth": growth, "long_horizon": long}, indent=1)
     (given.out / "growth.json").write_text(text + "\n")
-    draw(found, given.out / "growth.png")
+    plot(growth, given.out / "growth.png")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
-"""What a filter loses that ignores "looked there and saw nothing", and what a simple remedy brings.
+"""Measure what a filter loses by ignoring missed detections, and what using them gains.
 
     python experiments/non_detection.py [--run runs/best-0 ...] [--episodes 4] [--initial-error consistent]
 
 Two filters run side by side on every episode of table1, with the same measurements. *plain* is the Kalman filter of the
-true protocol, which learns nothing from a target that is not seen. *conditioned* replaces its belief, at every step
-without a measurement, by the Gaussian with the mean and covariance of the part outside the view. The policy is told the
-one, the other, or the *mean* of the conditioned one with the covariance of the plain one. The first table has scores
-and errors at the horizon, of both filters; the second what being told otherwise changed; the third NEES against the
-time since a target was last measured, over all steps.
+true protocol, which ignores missed detections. *conditioned* replaces the belief of a target, at every step without a
+measurement, by the Gaussian with the mean and covariance of the part outside the view. The policy observes the one, the
+other, or the *mean* of the conditioned one with the covariance of the plain one. The first table has scores and errors
+at the horizon, of both filters; the second the gain of observing another belief than the plain one; the third NEES
+against the time since a target was last measured, over all steps.
 """
 
 import argparse
@@ -35,35 +35,40 @@ from foveate.simulation.suites import table1
 from foveate.types import Key
 
 AGES = ((0, 0), (1, 1), (2, 2), (3, 4), (5, 8), (9, 99))
-"""Steps since a target was last measured, from and to; 0 is now."""
-TOLD = ("plain", "conditioned", "mean")
-HELD = 3
-"""Measured in so many steps on end."""
+"""Groups of steps since a target was last measured, from and to; 0 is now."""
+OBSERVED = ("plain", "conditioned", "mean")
+"""Beliefs that the policy observes."""
+HELD_STEPS = 3
+"""Consecutive steps with a measurement that make a target held in view."""
+HELD = f"held: seen in {HELD_STEPS} consecutive steps"
 
 
 class Course(NamedTuple):
-    """What happened in an episode; the filters' axis is plain, conditioned."""
+    """Visibility and both filters' results in an episode; the filters' axis is plain, conditioned."""
 
     visible: Bool[Array, "K n"]
     log_det: Float[Array, "K 2 n"]
-    square: Float[Array, "K 2 n"]
+    squared_error: Float[Array, "K 2 n"]
     nees: Float[Array, "K 2 n"]
 
 
-def drive(problems: tuple[Problem, Problem], policy: Policy, episode: Episode, key: Key, told: str) -> Course:
-    """One episode under both filters, `told` says what the policy sees of them."""
+def drive(problems: tuple[Problem, Problem], policy: Policy, episode: Episode, key: Key, observed: str) -> Course:
+    """Run one episode under both filters; the policy observes the belief named by `observed`."""
 
     def step(carry, instant):
         states, memory = carry
         ahead = [predict(*pair, instant.known_input) for pair in zip(problems, states, strict=True)]
-        seen = eqx.tree_at(lambda s: s.mean, ahead[0], ahead[1].mean) if told == "mean" else ahead[told != "plain"]
+        plain, conditioned = ahead
+        mixed = eqx.tree_at(lambda s: s.mean, plain, conditioned.mean)
+        seen = {"plain": plain, "conditioned": conditioned, "mean": mixed}[observed]
         observation = observe(seen, instant.known_input, episode.horizon)
         action, memory = policy(observation, memory, jax.random.fold_in(key, seen.step))
         pairs = zip(problems, ahead, strict=True)
-        (plain, visible, _), (other, _, _) = (act(problem, TRUE, one, instant, action) for problem, one in pairs)
+        plain, conditioned = (act(problem, TRUE, predicted, instant, action) for problem, predicted in pairs)
         assert instant.reality is not None, "episodes of a suite have truth"
-        errors = _errors(problems[0], (plain, other), instant.reality.state)
-        return ((plain, other), memory), Course(visible, *errors)
+        states = plain.state, conditioned.state
+        errors = _errors(problems[0], states, instant.reality.state)
+        return (states, memory), Course(plain.measured, *errors)
 
     steps, first = instants(episode), start(problems[0], episode, TRUE)
     first_input = jax.tree.map(lambda x: x[0], steps.known_input)
@@ -72,20 +77,20 @@ def drive(problems: tuple[Problem, Problem], policy: Policy, episode: Episode, k
 
 
 def _errors(problem: Problem, states: tuple[State, State], truth: Float[Array, "n n_y"]):
-    """log det, squared error of position and NEES of every target, by both filters."""
+    """Return log det, squared position error and NEES of every target, for both filters."""
     mean, information = jnp.stack([s.mean for s in states]), jnp.stack([s.information[0] for s in states])
     error = mean - truth
-    square = jnp.sum((error @ problem.motion.Z.T) ** 2, axis=-1)
-    return log_det_spd(information), square, jnp.einsum("fni,fnij,fnj->fn", error, information, error)
+    squared_error = jnp.sum((error @ problem.motion.Z.T) ** 2, axis=-1)
+    return log_det_spd(information), squared_error, jnp.einsum("fni,fnij,fnj->fn", error, information, error)
 
 
 @eqx.filter_jit
-def _drive_all(problems: tuple[Problem, Problem], policy: Policy, episodes: Episode, keys, told: str) -> Course:
-    return jax.vmap(lambda e, k: drive(problems, policy, e, k, told))(episodes, keys)
+def _drive_all(problems: tuple[Problem, Problem], policy: Policy, episodes: Episode, keys, observed: str) -> Course:
+    return jax.vmap(lambda e, k: drive(problems, policy, e, k, observed))(episodes, keys)
 
 
 def at_the_end(suite: Suite, course: Course) -> dict[tuple[str, int], list[dict[str, np.ndarray]]]:
-    """The measures of every episode at its horizon, by cell."""
+    """Metrics of every episode at its horizon, by cell."""
     cells: dict[tuple[str, int], list[dict[str, np.ndarray]]] = {}
     for i in range(len(course.visible)):
         scene = suite.scenes[i // suite.episodes_per_scene]
@@ -94,7 +99,7 @@ def at_the_end(suite: Suite, course: Course) -> dict[tuple[str, int], list[dict[
             {
                 "seen": course.visible[i, : last + 1, :n].any(axis=0).mean(),
                 "score": course.log_det[i, last, :, :n].mean(axis=-1),
-                "rmse": np.sqrt(course.square[i, last, :, :n].mean(axis=-1)),
+                "rmse": np.sqrt(course.squared_error[i, last, :, :n].mean(axis=-1)),
                 "nees": course.nees[i, last, :, :n].mean(axis=-1),
             }
         )
@@ -102,8 +107,8 @@ def at_the_end(suite: Suite, course: Course) -> dict[tuple[str, int], list[dict[
 
 
 def ages(suite: Suite, course: Course) -> list[tuple[str, int, np.ndarray]]:
-    """Groups of target-steps by the time since the last measurement: name, how many, mean NEES of both filters."""
-    found: dict[str, list[np.ndarray]] = {}
+    """Group target-steps by the time since the last measurement: name, count, mean NEES of both filters."""
+    groups: dict[str, list[np.ndarray]] = {}
     for i in range(len(course.visible)):
         scene = suite.scenes[i // suite.episodes_per_scene]
         for j in range(len(scene.targets)):
@@ -113,16 +118,16 @@ def ages(suite: Suite, course: Course) -> list[tuple[str, int, np.ndarray]]:
                 run = run + 1 if seen else 0
                 since = 0 if seen else since + 1 if since >= 0 else -1
                 for name in _groups(since, run):
-                    found.setdefault(name, []).append(course.nees[i, k, :, j])
-    order = [f"held: seen {HELD} times on end", *(_age_name(*age) for age in AGES), "never seen"]
-    return [(name, len(found[name]), np.mean(found[name], axis=0)) for name in order if name in found]
+                    groups.setdefault(name, []).append(course.nees[i, k, :, j])
+    order = [HELD, *(_age_name(*age) for age in AGES), "never seen"]
+    return [(name, len(groups[name]), np.mean(groups[name], axis=0)) for name in order if name in groups]
 
 
 def _groups(since: int, run: int) -> list[str]:
     if since < 0:
         return ["never seen"]
     age = next(_age_name(first, last) for first, last in AGES if first <= since <= last)
-    return [age, *[f"held: seen {HELD} times on end"] * (run >= HELD)]
+    return [age, *[HELD] * (run >= HELD_STEPS)]
 
 
 def _age_name(first: int, last: int) -> str:
@@ -132,13 +137,13 @@ def _age_name(first: int, last: int) -> str:
 
 
 def main() -> None:
-    """Print both tables, in Markdown."""
+    """Print the three tables, in Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--run", nargs="+", type=Path, default=[], help="run folders: trained policies")
-    parser.add_argument("--method", nargs="+", default=["uncertain", "nearest"], help="policies made by hand")
-    parser.add_argument("--episodes", type=int, default=4, help="noise draws a scene")
+    parser.add_argument("--method", nargs="+", default=["uncertain", "nearest"], help="heuristics")
+    parser.add_argument("--episodes", type=int, default=4, help="noise realisations per scene")
     parser.add_argument("--initial-error", choices=("paper", "consistent"), default="consistent")
-    parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the noise")
     given = parser.parse_args()
     scenario = PRESETS["paper"].scenario
     scenario = replace(scenario, scenes=replace(scenario.scenes, initial_error=given.initial_error))
@@ -152,50 +157,54 @@ def main() -> None:
     policies |= {str(run): load_run(run)[1] for run in given.run}
     courses = {}
     for name, policy in policies.items():
-        for told in TOLD:
-            course = _drive_all(problems, policy, suite.episodes, keys, told)
-            courses[name, told] = jax.tree.map(np.asarray, course)
+        for observed in OBSERVED:
+            course = _drive_all(problems, policy, suite.episodes, keys, observed)
+            courses[name, observed] = jax.tree.map(np.asarray, course)
     print_ends(suite, courses)
     print_differences(suite, courses)
     print_ages(suite, courses)
 
 
 def print_ends(suite: Suite, courses: dict[tuple[str, str], Course]) -> None:
-    """Scores and errors at the horizon, cell by cell."""
-    print("| policy | told | cell | seen | score, plain | rmse [m], plain / conditioned | NEES, plain / conditioned |")
+    """Print scores and errors at the horizon, by cell."""
+    print(
+        "| policy | observes | cell | seen | score, plain | rmse [m], plain / conditioned | NEES, plain / conditioned |"
+    )
     print("|---|---|---|---:|---:|---:|---:|")
-    for (name, told), course in courses.items():
+    for (name, observed), course in courses.items():
         for (motion, n), rows in at_the_end(suite, course).items():
             mean = {key: np.mean([row[key] for row in rows], axis=0) for key in rows[0]}
             print(
-                f"| {name} | {told} | {n} {motion} | {mean['seen']:.0%} | {mean['score'][0]:.2f} "
+                f"| {name} | {observed} | {n} {motion} | {mean['seen']:.0%} | {mean['score'][0]:.2f} "
                 f"| {mean['rmse'][0]:.2f} / {mean['rmse'][1]:.2f} | {mean['nees'][0]:.2f} / {mean['nees'][1]:.2f} |"
             )
 
 
 def print_differences(suite: Suite, courses: dict[tuple[str, str], Course]) -> None:
-    """What being told otherwise changes, with the same scenes and noise: scenes are the unit, over all cells."""
-    print("\n| policy | told | true score, less told plain | its 95 % interval |\n|---|---|---:|---:|")
+    """Print the gain over observing the plain belief, paired by scene over all cells, with the same noise."""
+    print("\n| policy | observes | true score, less that of plain | its 95 % interval |\n|---|---|---:|---:|")
 
     def by_scene(course: Course) -> np.ndarray:
         scores = [row["score"][0] for rows in at_the_end(suite, course).values() for row in rows]
         return np.reshape(scores, (-1, suite.episodes_per_scene)).mean(axis=1)
 
-    for (name, told), course in courses.items():
-        if told != "plain":
-            found = paired(by_scene(course), by_scene(courses[name, "plain"]))
-            print(f"| {name} | {told} | {found.mean:+.2f} | {found.ci95[0]:+.2f} to {found.ci95[1]:+.2f} |")
+    for (name, observed), course in courses.items():
+        if observed != "plain":
+            gain = paired(by_scene(course), by_scene(courses[name, "plain"]))
+            print(f"| {name} | {observed} | {gain.mean:+.2f} | {gain.ci95[0]:+.2f} to {gain.ci95[1]:+.2f} |")
 
 
 def print_ages(suite: Suite, courses: dict[tuple[str, str], Course]) -> None:
-    """NEES against the time since a target was last measured. The band takes target-steps as independent."""
-    print("\n| policy | told | target | target-steps | NEES, plain | conditioned | 95 % band |")
+    """Print NEES against the time since a target was last measured. The band treats target-steps as independent."""
+    print("\n| policy | observes | target | target-steps | NEES, plain | conditioned | 95 % band |")
     print("|---|---|---|---:|---:|---:|---:|")
     size = suite.problem.motion.state_size
-    for (name, told), course in courses.items():
+    for (name, observed), course in courses.items():
         for group, count, nees in ages(suite, course):
             low, high = chi_square_band(size, count)
-            print(f"| {name} | {told} | {group} | {count} | {nees[0]:.2f} | {nees[1]:.2f} | {low:.2f} .. {high:.2f} |")
+            print(
+                f"| {name} | {observed} | {group} | {count} | {nees[0]:.2f} | {nees[1]:.2f} | {low:.2f} .. {high:.2f} |"
+            )
 
 
 if __name__ == "__main__":

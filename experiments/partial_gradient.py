@@ -1,12 +1,12 @@
-"""What the printed form of Proposition 1 costs: its gradient against the total one, on the paper's scenes.
+"""Compare the printed gradient of Proposition 1 with the total gradient, on the paper's scenes.
 
     python experiments/partial_gradient.py [--run runs/paper-0 runs/paper-10 ...]
 
-The printed recursion holds the inputs s_k of the policy fixed, du/dtheta = dpi/dtheta; the total derivative lets pose
-and information move with theta too. Both come from `foveate.learning.sensitivity`, in float64, noise-free, on the
-planar scenario lifted into space, for policies before training (as `foveate train` starts them) and for the best ones
-of run folders. The table has the angle between the two [deg] and |printed| / |total|: scene by scene, over the scenes
-that have a gradient worth the name, and of the mean gradient of all scenes, which is what a training step follows.
+The printed recursion holds the policy's inputs s_k fixed, du/dtheta = dpi/dtheta; the total derivative lets pose and
+information move with theta too. Both come from `foveate.learning.sensitivity`, in float64, noise-free, on the planar
+scenario embedded in SE(3). Policies are those before training (as `foveate train` initialises them) and the best ones
+of run folders. The table has the angle between the two gradients [deg] and |printed| / |total|: per scene, over the
+scenes with a gradient of at least MIN_GRADIENT, and for the mean gradient of all scenes, which a training step follows.
 At 90 degrees or more a small step along the printed gradient does not raise the objective.
 """
 
@@ -32,13 +32,13 @@ from foveate.simulation.records import Policy
 PAPER = PRESETS["paper"]
 SEEDS = (0, 10, 100)
 TARGETS = (3, 5, 7)
-LEAST = 1e-3
-"""A scene whose gradient is smaller [nat per target] has its targets out of reach, where 1 - Phi is flat: no angle."""
+MIN_GRADIENT = 1e-3
+"""Least gradient norm [nat per target] for an angle; below it all targets are out of reach, where 1 - Phi is flat."""
 RESAMPLES = 400
 
 
 def fresh(seed: int, frame: Frame) -> Policy:
-    """The paper's network as a training with this seed begins: drawn in single precision, then widened."""
+    """The paper's network as initialised with this seed: in float32, then cast to float64."""
     with jax.enable_x64(False):
         settings = replace(PAPER.policy, frame=frame)
         policy = settings.policy(PAPER.scenario.problem(), jax.random.split(jax.random.key(seed), 4)[0])
@@ -46,7 +46,7 @@ def fresh(seed: int, frame: Frame) -> Policy:
 
 
 def trained(run: Path) -> Policy:
-    """The best policy of a run folder; ValueError where it was trained in another scenario than the paper's."""
+    """Load the best policy of a run folder. Raises ValueError unless it was trained in the paper's scenario."""
     experiment, policy, _ = load_run(run)
     if experiment.scenario != PAPER.scenario:
         raise ValueError(f"{run}: expected a run in the paper's scenario")
@@ -55,7 +55,7 @@ def trained(run: Path) -> Policy:
 
 @eqx.filter_jit
 def gradients(policy: Policy, targets: int, keys: jax.Array) -> jax.Array:
-    """Printed and total gradient by the parameters, a scene for each key: (scenes, 2, n_p) [nat per target]."""
+    """Printed and total gradient for the parameters, one scene per key: (scenes, 2, n_p) [nat per target]."""
     problem = PAPER.scenario.problem()
     scenes = replace(PAPER.scenario.scenes, targets_min=targets, targets_max=targets)
 
@@ -67,41 +67,41 @@ def gradients(policy: Policy, targets: int, keys: jax.Array) -> jax.Array:
         ]
         return jnp.stack([ravel_pytree(gradient)[0] for _, gradient in both]) / targets
 
-    return jax.lax.map(one, keys)  # one scene after the other: the derivatives of one fill memory enough
+    return jax.lax.map(one, keys)  # sequential: the derivatives of one scene take much memory
 
 
 def compare(printed: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angle [deg] and |printed| / |total| of vectors along the last axis."""
     sizes = [np.linalg.norm(x, axis=-1) for x in (printed, total)]
     one, other = (x / size[..., None] for x, size in zip((printed, total), sizes, strict=True))
-    # Not by arccos, which knows small angles only to the root of the precision.
+    # Not by arccos, which resolves small angles only to the square root of the precision.
     half = np.arctan2(np.linalg.norm(one - other, axis=-1), np.linalg.norm(one + other, axis=-1))
     return np.degrees(2 * half), sizes[0] / sizes[1]
 
 
 def row(name: str, targets: str, both: np.ndarray) -> str:
-    """One line of the table, of gradients (scenes, 2, n_p)."""
-    felt = both[np.linalg.norm(both[:, 1], axis=-1) >= LEAST]
-    angle, ratio = compare(felt[:, 0], felt[:, 1])
+    """One row of the table, for gradients (scenes, 2, n_p)."""
+    kept = both[np.linalg.norm(both[:, 1], axis=-1) >= MIN_GRADIENT]
+    angle, ratio = compare(kept[:, 0], kept[:, 1])
     mean_angle, mean_ratio = compare(*both.mean(axis=0))
-    # A few scenes carry most of a mean: how much its angle depends on which ones were drawn, by the bootstrap.
-    draws = np.random.default_rng(0).multinomial(len(both), np.full(len(both), 1 / len(both)), RESAMPLES)
-    again = np.tensordot(draws, both, axes=1)
-    low, high = np.percentile(compare(again[:, 0], again[:, 1])[0], [10, 90])
-    cells = [name, targets, f"{len(felt)} of {len(both)}", f"{np.median(angle):.1f}", f"{np.percentile(angle, 90):.0f}"]
+    # A few scenes dominate the mean: bootstrap over scenes for the uncertainty of its angle.
+    counts = np.random.default_rng(0).multinomial(len(both), np.full(len(both), 1 / len(both)), RESAMPLES)
+    means = np.tensordot(counts, both, axes=1)
+    low, high = np.percentile(compare(means[:, 0], means[:, 1])[0], [10, 90])
+    cells = [name, targets, f"{len(kept)} of {len(both)}", f"{np.median(angle):.1f}", f"{np.percentile(angle, 90):.0f}"]
     cells += [str(np.sum(angle >= 90)), f"{np.median(ratio):.2f}"]
     cells += [f"{mean_angle:.0f} ({low:.0f} to {high:.0f})", f"{mean_ratio:.2f}"]
     return "| " + " | ".join(cells) + " |"
 
 
 def rows(name: str, policy: Policy, scenes: int, seed: int) -> Iterator[str]:
-    """One line for each number of targets, and one for all scenes together."""
-    everything = []
+    """One row for each number of targets, and one for all scenes."""
+    batches = []
     for targets in TARGETS:
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), targets), scenes)
-        everything.append(np.asarray(gradients(policy, targets, keys)))
-        yield row(name, str(targets), everything[-1])
-    yield row(name, "all", np.concatenate(everything))
+        batches.append(np.asarray(gradients(policy, targets, keys)))
+        yield row(name, str(targets), batches[-1])
+    yield row(name, "all", np.concatenate(batches))
 
 
 def main() -> None:
@@ -111,8 +111,8 @@ def main() -> None:
         "--run", nargs="+", action="extend", type=Path, default=[], help="run folders: trained policies"
     )
     parser.add_argument("--scenes", type=int, default=20, help="scenes for each of 3, 5 and 7 targets")
-    parser.add_argument("--seed", type=int, default=0, help="of the scenes")
-    parser.add_argument("--frame", choices=("body", "world"), default="body", help="of the fresh policies' inputs")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the scenes")
+    parser.add_argument("--frame", choices=("body", "world"), default="body", help="frame of fresh policies' inputs")
     parser.add_argument("--skip-fresh", action="store_true", help="only the run folders")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)

@@ -1,9 +1,9 @@
-"""What training in space costs beside the plane: seconds per episode step, at the same batch, targets and network.
+"""Compare the cost of training in space and in the plane: seconds per episode step, same batch, targets and network.
 
     python experiments/space_cost.py [--rounds 7]
 
-The two are measured in turn within one process, so that a shared machine slows both alike; the ratio of the medians
-is what counts.
+The two are interleaved within one process, so that a shared machine slows both alike; the result is the ratio of their
+medians.
 """
 
 import argparse
@@ -20,14 +20,14 @@ from foveate.learning.loop import advance_of
 from foveate.learning.policy_gradient import begin
 from foveate.policies.attention import AttentionSettings
 
-EPOCHS = 20
+ITERATIONS = 20
 
 DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_widths=(64, 64), information="asinh")
-"""A layer deeper and twice as wide, with compressed information matrices."""
+"""One layer deeper and twice as wide, with information matrices as asinh."""
 
 
 def timed(experiment: Experiment):
-    """A function that runs EPOCHS epochs and returns the seconds that one episode step of one of them took."""
+    """Return a function that trains for ITERATIONS iterations and returns the seconds per episode step."""
     problem, scenes, training = experiment.scenario.problem(), experiment.scenario.scenes, experiment.training
     learner = begin(experiment.policy.policy(problem, jax.random.key(0)), training)
     advance = advance_of(experiment, problem)
@@ -35,17 +35,17 @@ def timed(experiment: Experiment):
 
     def run() -> float:
         began = time.perf_counter()
-        jax.block_until_ready(advance(jnp.array(EPOCHS), learner, jax.random.key(1))[1].objective)
-        return (time.perf_counter() - began) / EPOCHS / steps
+        jax.block_until_ready(advance(jnp.array(ITERATIONS), learner, jax.random.key(1))[1].objective)
+        return (time.perf_counter() - began) / ITERATIONS / steps
 
     run()  # compilation
     return run
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure both and print the ratio, for each network."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=7, help="measurements of each, in turn (default 7)")
+    parser.add_argument("--rounds", type=int, default=7, help="measurements of each, interleaved (default 7)")
     rounds = parser.parse_args().rounds
     training = TrainingSettings()  # the paper's: 60 episodes, one level, no noise
     networks = {"the paper's network": AttentionSettings(), "a deeper network": DEEPER}
@@ -54,7 +54,7 @@ def main() -> None:
         planar, spatial = np.median([[run() for run in runs] for _ in range(rounds)], axis=0)
         print(
             f"{name}, {training.episodes} episodes of 3 to 8 targets: "
-            f"plane {planar * 1e6:.2f} us, space {spatial * 1e6:.2f} us an episode step: ratio {spatial / planar:.2f}"
+            f"plane {planar * 1e6:.2f} us, space {spatial * 1e6:.2f} us per episode step: ratio {spatial / planar:.2f}"
         )
 
 

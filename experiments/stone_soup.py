@@ -1,10 +1,10 @@
-"""foveate policies beside Stone Soup's own sensor managers, in Stone Soup's simulation, on the same scenes and noise.
+"""Compare foveate policies with Stone Soup's sensor managers in its simulation, on the same scenes and noise.
 
 python experiments/stone_soup.py [--run RUN ..] [--targets 3 5 7] [--scenes 10] [--fine]
 
-Scenes are the unbiased ones of table1, for 3 n steps: targets are random walks with the scenario's W, known to all, and
-pushed by nothing else. Stone Soup's managers try a grid of the same commands (5 speeds, 7 turn rates; --fine: 9, 13)
-and take what shrinks the covariances most in one step (UncertaintyRewardFunction).
+Scenes are the unbiased ones of table1, for 3 n steps: targets are random walks with the scenario's W, which all methods
+know, and no drift. Stone Soup's managers evaluate a grid of the same commands (5 speeds, 7 turn rates; --fine: 9, 13)
+and choose the one that shrinks the covariances most in one step (UncertaintyRewardFunction).
 """
 
 import argparse
@@ -35,14 +35,14 @@ STONE_SOUP = {"brute force": BruteForceSensorManager, "greedy": GreedySensorMana
 
 
 class World:
-    """One scene in Stone Soup: a platform, one track a target, their truth and the noise of every measurement."""
+    """One scene in Stone Soup: a platform, one track per target, true positions and the noise of every measurement."""
 
     def __init__(self, problem, scene, levels, steers=False):
         n, rng = len(scene.targets), np.random.default_rng([len(scene.targets), int(scene.id[-2:])])
         W, V, tau = (np.asarray(x, float) for x in (problem.motion.W, problem.sensor.V, problem.tau))
         self.interval, steps = datetime.timedelta(seconds=float(tau)), scene.horizon
-        pushes = rng.multivariate_normal(np.zeros(2), W, (steps, n))
-        self.truth = np.array(scene.targets) + np.concatenate([np.zeros((1, n, 2)), np.cumsum(pushes, axis=0)])
+        process_noise = rng.multivariate_normal(np.zeros(2), W, (steps, n))
+        self.truth = np.array(scene.targets) + np.concatenate([np.zeros((1, n, 2)), np.cumsum(process_noise, axis=0)])
         self.noise = rng.multivariate_normal(np.zeros(2), V, (steps, n))
         first = self.truth[0] + rng.multivariate_normal(np.zeros(2), V, n)
         P = np.linalg.inv(np.asarray(problem.prior_information, float))
@@ -70,7 +70,7 @@ class World:
         self.end = START + steps * self.interval
 
     def run(self, manager):
-        """Log det of information and whether it was seen, for every step and target; and the time of each decision."""
+        """Return log det of information and visibility for every step and target, and the time of each decision."""
         information, seen, times = [], [], []
         for k, truth in enumerate(self.truth[1:]):
             now = START + (k + 1) * self.interval
@@ -86,7 +86,7 @@ class World:
         return np.array(information), np.array(seen), times
 
     def _look(self, track, truth, noise, now):
-        """Predict a track, and update it where its target is in view."""
+        """Predict a track, and update it if its target is in view."""
         prediction = self.predictor.predict(track.state, timestamp=now)
         state = GroundTruthState(truth, timestamp=now)
         detections = self.sensor.measure({state}, noise=noise[:, None])
@@ -97,7 +97,7 @@ class World:
 
 
 def manager_of(name, policies, world, problem):
-    """The sensor manager of that name: a policy's, or one of Stone Soup's."""
+    """Return the sensor manager of that name: a policy's, or one of Stone Soup's."""
     if name in policies:
         return PolicySensorManager(
             platforms={world.platform},
@@ -107,13 +107,13 @@ def manager_of(name, policies, world, problem):
             trained_for=problem,
         )
     reward = UncertaintyRewardFunction(world.predictor, world.updater)
-    # The greedy one judges each actionable alone: the platform, which measures nothing, would be worth nothing.
+    # The greedy one rewards each actionable alone, and a platform, which measures nothing, would have no reward.
     alone = {"sensors": {world.sensor}} if name == "greedy" else {"platforms": {world.platform}}
     return STONE_SOUP[name](**alone, reward_function=reward)
 
 
 def main() -> None:
-    """A row for every method and number of targets."""
+    """Print a row for every method and number of targets."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--run", nargs="*", type=Path, default=[])
     options.add_argument("--targets", nargs="*", type=int, default=[3, 5, 7])
@@ -122,7 +122,7 @@ def main() -> None:
     given = options.parse_args()
     problem = PRESETS["best"].scenario.problem()
     policies = {run.name: load_run(run)[1] for run in given.run} | {"uncertain": heuristic("uncertain", problem, 2.0)}
-    print(f"| method | targets | log det at 1/3 | at 2/3 | at the end | ever seen | ms a decision |\n{'|---' * 7}|")
+    print(f"| method | targets | log det at 1/3 | at 2/3 | at the end | ever seen | ms per decision |\n{'|---' * 7}|")
     for n in given.targets:
         scenes = [scene for scene in table1(problem) if scene.id.startswith(f"unbiased-{n}-")][: given.scenes]
         for name in [*policies, *STONE_SOUP]:
@@ -133,7 +133,7 @@ def main() -> None:
                 information, seen, took = world.run(manager_of(name, policies, world, problem))
                 found.append([information[len(information) * third // 3 - 1].mean() for third in (1, 2, 3)])
                 ever.append(seen.any(axis=0).mean())
-                times += took[1:]  # the first waits for the compiler
+                times += took[1:]  # the first includes compilation
             numbers = " | ".join(f"{x:.2f}" for x in np.mean(found, axis=0))
             print(f"| {name} | {n} | {numbers} | {np.mean(ever):.0%} | {1000 * np.median(times):.1f} |", flush=True)
 

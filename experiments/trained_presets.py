@@ -1,10 +1,10 @@
-"""The trained policies that the package brings: every preset, trained with seed 0 into src/foveate/experiment/trained/.
+"""Train the policies shipped in the package: every preset with seed 0, into src/foveate/experiment/trained/.
 
     python experiments/trained_presets.py [PRESET ..]
 
-Minutes for each preset; where one is there already it is replaced. What is kept is what deciding needs, configuration
-and weights, and record.json: with which seed and versions it was made, how long that took, and, so that a test can see
-whether it still does so, what it scores on a few scenes in float64.
+Each preset takes minutes and replaces an existing one. A policy's folder has its configuration and weights, and
+record.json: seed, versions and duration of the training, and, for a test to compare with, the scores on a few scenes in
+float64.
 """
 
 import shutil
@@ -27,11 +27,11 @@ from foveate.simulation.suites import SUITE_SCENES_PER_CELL, own_suite
 
 SEED = 0
 SCORED = 2
-"""Scenes of each cell of a suite."""
+"""Scenes per cell of a suite."""
 
 
 def played(preset: str) -> tuple[Suite, Trace]:
-    """A few scenes of the preset's own, and what its trained policy does in them, with a real filter."""
+    """Simulate a preset's trained policy on a few scenes of its own suite, with the real filter."""
     policy = load(preset)
     known = own_suite(policy.scenario.scenes, policy.problem)
     chosen = [scene for i, scene in enumerate(known) if i % SUITE_SCENES_PER_CELL < SCORED]
@@ -46,14 +46,14 @@ def scores(suite: Suite, trace: Trace) -> dict[str, float]:
 
 
 def make(preset: str) -> None:
-    """Train, keep, record."""
+    """Train a preset, save its policy and write its record."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         policy = train(preset, seed=SEED, out=Path(folder) / preset)
     seconds = time.perf_counter() - began
     shutil.rmtree(TRAINED / preset, ignore_errors=True)
     policy.save(TRAINED / preset)
-    jax.config.update("jax_enable_x64", True)  # for all threads, which a context is not
+    jax.config.update("jax_enable_x64", True)  # for all threads; a context manager covers only this one
     found = scores(*played(preset))
     jax.config.update("jax_enable_x64", False)
     record = {
@@ -71,7 +71,7 @@ def make(preset: str) -> None:
 
 
 def main() -> None:
-    """Make those that are named, or all."""
+    """Make the presets named on the command line, or all of them."""
     for preset in sys.argv[1:] or PRESETS:
         if preset not in PRESETS:
             sys.exit(f"{preset}: presets are {', '.join(PRESETS)}")

@@ -1,8 +1,8 @@
-"""Inputs that nobody means well with: `make fuzz`. Recordings, scenes, configurations, arguments of the command line.
+"""Fuzz recordings, scenes, configurations and arguments of the command line: `make fuzz`.
 
-Examples of each format are mutated byte by byte; arguments are drawn from the options that there are and from odd
-values. Each input must be taken, or rejected in one line: no other exception, not more than SLOWEST_S, no more than a
-gibibyte. What breaks that is shown.
+Examples of each format are mutated byte by byte; arguments are sampled from the existing options and from odd values.
+Each input must be taken, or rejected in one line: no other exception, at most SLOWEST_S, at most a gibibyte. Inputs
+that break this are printed.
 """
 
 import argparse
@@ -77,7 +77,7 @@ NUMBERS = (
     *(b"1e-3", b"1e-9", b"1e-30", b"1e5", b"1e9", b"1e20", b"1e160", b"1e308", b"89.999", b"180.0", b"360.0"),
 )
 SHARES = (0.2, 0.03, 0.07, 0.07, 0.08, 0.05, 0.05, 0.05, 0.05, 0.35)
-"""Of the kinds of mutation: gentle ones more often, for what is wrong on the surface is seen there."""
+"""Probabilities of the kinds of mutation; gentle ones are more frequent, as gross damage is rejected at the surface."""
 HEAVY = (
     *(
         "progress.train_watched",
@@ -89,7 +89,7 @@ HEAVY = (
     *("replay.prepare_replay", "reproduction.reproduce", "view.serve", "view.record", "benchmarks.measurements"),
     *("timing.measure_references", "export.export"),
 )
-"""What a command does once its arguments and files are read: not done here."""
+"""Functions that do the work of a command once its arguments and files are read; they are not run here."""
 ODD = (
     *("", " ", "-1", "0", "1", "3", "nan", "inf", "1e400", "9" * 30, "-", "--", "None", "True", "a b", "\n", "é\udc80"),
     *(".", "..", "/", "/dev/null", "/proc/self/mem", "r.csv", "s.json", "e.toml", "run", "none.csv", "paper", "best"),
@@ -112,7 +112,7 @@ ODD = (
 
 
 def grow(rng: np.random.Generator, data: bytes) -> bytes:
-    """Up to a mebibyte of a part of the data, or of brackets."""
+    """Insert up to a mebibyte of repetitions of a part of the data, or of brackets."""
     part = [data[: 1 + int(rng.integers(max(1, len(data))))], b"[", b'{"a":', b"a.", b"9", b"[[a]]\n"][rng.integers(6)]
     size = int(2.0 ** rng.uniform(8, 20))
     place = int(rng.integers(len(data) + 1))
@@ -120,7 +120,7 @@ def grow(rng: np.random.Generator, data: bytes) -> bytes:
 
 
 def mutate(rng: np.random.Generator, data: bytes, other: bytes) -> bytes:
-    """A few changes of bytes, slices, lines and numbers."""
+    """Change a few bytes, slices, lines and numbers."""
     for _ in range(int(rng.geometric(0.6))):
         kind, place = int(rng.choice(10, p=SHARES)), int(rng.integers(len(data) + 1))
         end = min(len(data), place + int(rng.geometric(0.1)))
@@ -152,7 +152,7 @@ def mutate(rng: np.random.Generator, data: bytes, other: bytes) -> bytes:
 
 
 def seeds() -> dict[str, list[bytes]]:
-    """Good examples of what is mutated; also without digests, behind which little else would be seen."""
+    """Valid examples to mutate; some without a digest, since a wrong digest would hide all other errors."""
     scenes = (FORMATS / "scenes.json").read_bytes()
     plain = b"\n".join(line for line in scenes.splitlines() if b'"digest"' not in line)
     table = [dumps_toml(experiment).encode() for experiment in PRESETS.values()]
@@ -168,7 +168,7 @@ def seeds() -> dict[str, list[bytes]]:
 
 
 def readers() -> dict[str, Callable[[Path], object]]:
-    """What reads each kind of file."""
+    """The reader of each kind of file."""
     scenario = PRESETS["paper"].scenario
     space = scenario.problem().agent.space
 
@@ -183,7 +183,7 @@ def readers() -> dict[str, Callable[[Path], object]]:
 
 
 def arguments(rng: np.random.Generator) -> list[str]:
-    """A command with some of its options, and odd values."""
+    """Sample a command with some of its options, and odd values."""
     name = list(COMMANDS)[rng.integers(len(COMMANDS))]
     options = [f"--{field.name.replace('_', '-')}" for field in fields(COMMANDS[name])]
     said = [name] if rng.random() < 0.98 else []
@@ -215,7 +215,7 @@ def require(holds: bool, what: str) -> None:
 
 
 def run_command(said: list[str]) -> str:
-    """How the command line takes it. Raises AssertionError where it shows a traceback."""
+    """Run a command and return its status. Raises AssertionError if it shows a traceback."""
     with contextlib.redirect_stderr(io.StringIO()) as err, contextlib.redirect_stdout(io.StringIO()):
         try:
             status = main(said)
@@ -227,7 +227,7 @@ def run_command(said: list[str]) -> str:
 
 
 def read(reader: Callable[[Path], object], path: Path) -> str:
-    """How a reader takes a file. Raises AssertionError where its rejection is not one line that names the file."""
+    """Read a file: taken or rejected. Raises AssertionError unless a rejection is one line that names the file."""
     try:
         reader(path)
     except ValueError as error:
@@ -239,7 +239,7 @@ def read(reader: Callable[[Path], object], path: Path) -> str:
 
 
 def inputs(count: int, seed: int, folder: Path) -> Iterator[tuple[str, Callable[[], str], Any]]:
-    """So many inputs: their kind, what tries them, and what to keep of one that breaks something."""
+    """Generate `count` inputs: kind, function that tries it, and data to print if it breaks something."""
     rng, examples, read_by = np.random.default_rng(seed), seeds(), readers()
     kinds = list(examples)
     for _ in range(count):
@@ -255,13 +255,13 @@ def inputs(count: int, seed: int, folder: Path) -> Iterator[tuple[str, Callable[
 
 
 def furnish(folder: Path) -> None:
-    """Files that arguments name."""
+    """Write the files that arguments name."""
     for name, source in {"r.csv": "recording.csv", "s.json": "scenes.json", "e.toml": "preset-paper.toml"}.items():
         (folder / name).write_bytes((FORMATS / source).read_bytes())
 
 
 def fuzz(count: int, seed: int, report: Callable[[str], None] = print) -> tuple[Counter, list[str]]:
-    """Try so many inputs; what came of them, and what was broken."""
+    """Try `count` inputs; return the counts of outcomes, and descriptions of the failures."""
     counts, broken, slowest = Counter(), [], 0.0
     before, home = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, Path.cwd()
     with tempfile.TemporaryDirectory() as folder, light():
@@ -290,7 +290,7 @@ def fuzz(count: int, seed: int, report: Callable[[str], None] = print) -> tuple[
 
 
 def cli() -> int:
-    """Report and exit status."""
+    """Fuzz, report and return the exit status."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--inputs", type=int, default=100_000)
     options.add_argument("--seed", type=int, default=0)

@@ -1,6 +1,6 @@
-"""SIGKILL at random moments of whole training processes, then --resume, against a training left alone: `make kill`.
+"""Kill training processes (SIGKILL) at random, resume them, compare with a training left alone: `make kill`.
 
-Prints for each learner how often it was killed, how far it was each time, and whether all files came out the same.
+Prints for each learner the number of kills, the progress at each of them, and whether all files are the same.
 """
 
 import argparse
@@ -44,31 +44,31 @@ TRYING = replace(
 
 
 def start(folder: Path, *arguments: object) -> subprocess.Popen:
-    """`foveate train` in a process of its own; compiled programs are kept in the folder, if nowhere else."""
+    """Start `foveate train` in a process of its own; without a compilation cache it gets one in the folder."""
     environment = {"JAX_COMPILATION_CACHE_DIR": str(folder / "programs"), **os.environ}
     command = [sys.executable, "-m", "foveate.cli.main", "train", *map(str, arguments)]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def finish(process: subprocess.Popen) -> tuple[int, str]:
-    """Exit status, and all that it said."""
+    """Wait for the process; return its exit status and output."""
     out, err = process.communicate(timeout=600)
     return process.returncode, out + err
 
 
 def checks(run: Path) -> int:
-    """How many checks a run's metrics hold."""
+    """Number of validations in a run's metrics."""
     return (run / METRICS).read_bytes().count(b"\n") if (run / METRICS).exists() else 0
 
 
 def await_checks(process: subprocess.Popen, run: Path, count: int) -> None:
-    """Until so many checks are written, or the process is at its end."""
+    """Wait until `count` validations are written, or the process has ended."""
     while checks(run) < count and process.poll() is None:
         time.sleep(0.002)
 
 
 def differences(one: Path, other: Path) -> list[str]:
-    """The files of two runs that differ in what counts: settings, the best policy, all that a training goes on from."""
+    """Files that differ between two runs: settings, best policy, and the state that a training resumes from."""
     found = [str(path) for path in (Path(CONFIG), BEST) if (one / path).read_bytes() != (other / path).read_bytes()]
     (_, a), (_, b) = (load_arrays(run / LAST, "training", VERSION) for run in (one, other))
     if set(a) != set(b) or any(a[name].tobytes() != b[name].tobytes() for name in a):
@@ -77,7 +77,7 @@ def differences(one: Path, other: Path) -> list[str]:
 
 
 def kill(experiment: Experiment, kills: int, rng: np.random.Generator, folder: Path) -> list[str]:
-    """Train once alone and once killed so often; what differs in the end."""
+    """Train once alone and once with this many kills; return the files that differ."""
     config = folder / "experiment.toml"
     config.write_text(dumps_toml(experiment))
     status, said = finish(start(folder, "--config", config, "--seed", 3, "--out", folder / "alone"))
@@ -87,7 +87,7 @@ def kill(experiment: Experiment, kills: int, rng: np.random.Generator, folder: P
         resumes = (run / CONFIG).exists()
         given = ("--resume", run) if resumes else ("--config", config, "--seed", 3, "--out", run)
         process = start(folder, *given)
-        # Most of a short process is its beginning: three of four deaths come after its first check.
+        # A short process spends most of its time starting: three of four kills wait for its first validation.
         if rng.random() < 0.25:
             time.sleep(rng.uniform(0, 4.0))
         else:
@@ -107,7 +107,7 @@ def kill(experiment: Experiment, kills: int, rng: np.random.Generator, folder: P
 
 
 def main() -> int:
-    """Both learners."""
+    """Kill trainings of both learners; return the exit status."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--kills", type=int, default=20)
     options.add_argument("--seed", type=int, default=0)

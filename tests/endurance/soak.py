@@ -1,8 +1,8 @@
-"""A robot's loop for hours of its own time, and a live view that many look at: `make soak`.
+"""Run a robot's loop for hours of its own time, and a live view with many visitors: `make soak`.
 
-100 steps a second: predict, decide, move, detect, update; every few seconds somebody comes and somebody goes, each with
-an id that was never there before. Reported: memory, the time of a decision, whether the beliefs are as sure as they
-say (NEES), rejected outliers. Then a live view with tabs of a real browser opened and closed, where there is one.
+100 steps a second: predict, decide, move, detect, update. Every few seconds a target appears and another disappears,
+each with a new id. Reported: memory, decision time, consistency of the beliefs (NEES), rejected outliers. Then tabs of
+a real browser, if there is one, are opened and closed on a live view.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from foveate.scenario.target import DriftTarget
 
 RATE_HZ = 100
 MOST = 16
-"""The decision is compiled once, for so many targets."""
+"""Number of targets that the decision is compiled for, once."""
 ALIVE, LIFE_S, DETECTED, OUTLIERS = 8, 20.0, 0.8, 1e-3
 WORLD = Scenario(
     tau_s=1 / RATE_HZ,
@@ -38,7 +38,7 @@ WORLD = Scenario(
 
 @dataclass(frozen=True, kw_only=True)
 class Soaked:
-    """What a loop did: times of decisions [s], resident memory [MiB] along the way, NEES, and what was rejected."""
+    """Results of a loop: times of decisions [s], resident memory [MiB] along the way, NEES, and rejections."""
 
     steps: int
     ids: int
@@ -53,12 +53,12 @@ class Soaked:
 
     @property
     def growth_mib(self) -> float:
-        """Of memory, from a tenth of the way to the end."""
+        """Growth of memory [MiB] from a tenth of the way to the end."""
         return self.memory_mib[-1] - self.memory_mib[len(self.memory_mib) // 10]
 
 
 def resident_mib() -> float:
-    """What this process holds now; where that cannot be read, the most that it ever held."""
+    """Memory of this process [MiB]: current, or the peak where the current one cannot be read."""
     status = Path("/proc/self/statm")
     if status.exists():
         return int(status.read_text().split()[1]) * resource.getpagesize() / 2**20
@@ -66,7 +66,7 @@ def resident_mib() -> float:
 
 
 def soak(seconds: float, seed: int = 0) -> Soaked:
-    """Drive so long, in the robot's own time."""
+    """Run the loop for this long, in the robot's own time."""
     problem, rng, steps = WORLD.problem(), np.random.default_rng(seed), round(seconds * RATE_HZ)
     policy = AttentionSettings().policy(problem, jax.random.key(seed))
     decide = eqx.filter_jit(lambda seen: problem.agent.control(policy(seen, (), jax.random.key(0))[0]))
@@ -117,7 +117,7 @@ def soak(seconds: float, seed: int = 0) -> Soaked:
 
 
 def errors(tracker: Tracker, alive: dict[int, np.ndarray]) -> list[float]:
-    """e^T P^-1 e of every target that is there and tracked."""
+    """e^T P^-1 e of every target that exists and is tracked."""
     found = []
     for name, mean, covariance in zip(tracker.ids, tracker.mean, tracker.covariance, strict=True):
         if name in alive:
@@ -127,7 +127,7 @@ def errors(tracker: Tracker, alive: dict[int, np.ndarray]) -> list[float]:
 
 
 def faults(found: Soaked) -> list[str]:
-    """What is not as it should be."""
+    """Describe the expectations that the results violate."""
     said = []
     if found.growth_mib > 8.0:
         said.append(f"memory grew by {found.growth_mib:.1f} MiB")
@@ -170,7 +170,7 @@ def tabs(count: int) -> str:
 
 
 def main() -> int:
-    """Report; exit status 1 where something is not as it should be."""
+    """Run both and report; return exit status 1 if an expectation is violated."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--seconds", type=float, default=3600.0)
     options.add_argument("--tabs", type=int, default=20)

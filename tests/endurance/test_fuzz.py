@@ -1,4 +1,4 @@
-"""A short walk of what `make fuzz` does at length, and inputs that were built to be slow, or large."""
+"""A short run of `make fuzz`, and inputs built to be slow or large."""
 
 import json
 import sys
@@ -124,6 +124,6 @@ def test_large_files_are_done_soon(tmp_path, read_by, name):
 
 
 def test_arguments_reach_every_command():
-    """The drawn ones do: else this would try nothing."""
+    """Sampled arguments must reach every command; otherwise the fuzzing would test nothing."""
     rng = np.random.default_rng(0)
     assert {word for _ in range(500) for word in arguments(rng)[:1]} >= set(COMMANDS)

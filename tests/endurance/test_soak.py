@@ -1,4 +1,4 @@
-"""A minute of what `make soak` does for an hour; and a live view that twenty come to and leave."""
+"""A minute of the loop that `make soak` runs for an hour, and a live view with twenty visits."""
 
 import os
 import subprocess
@@ -23,7 +23,7 @@ def test_a_minute_of_the_loop():
 
 
 def test_the_live_view_forgets_who_has_left(tmp_path):
-    """Twenty connections as a page opens them; tabs of a real browser: `make soak`."""
+    """Twenty connections, opened as a page does; `make soak` uses tabs of a real browser."""
     viser = pytest.importorskip("viser", reason="needs the extra view")
     from plotting.live.test_server import made_up, wait_for
     from websockets.sync.client import connect
@@ -43,6 +43,6 @@ def test_the_live_view_forgets_who_has_left(tmp_path):
                 player.tick(0.1)
             wait_for(lambda: not server.get_clients())
             counts.append((threading.active_count(), len(os.listdir("/proc/self/fd"))))
-        # A server's own pool may still begin a thread late; what fifteen more visits leak, they leak fifteen times.
+        # The server's pool may still start a thread late; a leak would show fifteen times in fifteen more visits.
         assert counts[-1][0] <= counts[4][0] + 2, "threads"
         assert counts[-1][1] <= counts[4][1] + 2, "open files"
