@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from foveate.errors import InputError
-from foveate.evaluation.statistics import group_by
 from foveate.evaluation.summary import Summary
 from foveate.geometry.linalg import log_det_spd
+from foveate.io.grouping import group_by
 from foveate.models import belief
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene

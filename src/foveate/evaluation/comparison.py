@@ -11,8 +11,9 @@ import numpy as np
 
 from foveate.evaluation.bounds import Cell, with_normalised_scores
 from foveate.evaluation.evaluate import Row
-from foveate.evaluation.statistics import group_by, holm, paired
+from foveate.evaluation.statistics import holm, paired
 from foveate.evaluation.summary import Summary, summarise
+from foveate.io.grouping import group_by
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,9 +21,9 @@ from jaxtyping import Array, Float
 from foveate import __version__
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, Suite, episode_rows, policy_keys
-from foveate.evaluation.statistics import group_by
 from foveate.io.cache import Job
 from foveate.io.files import cache_folder
+from foveate.io.grouping import group_by
 from foveate.learning.devices import cores
 from foveate.models import belief
 from foveate.models.belief import entropy

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from foveate.evaluation.evaluate import Row, Suite, decision_time, episode_rows, evaluate_traces, prepare
-from foveate.evaluation.statistics import group_by
+from foveate.io.grouping import group_by
 from foveate.learning.devices import cores
 from foveate.models.problem import Problem
 from foveate.planning.receding import OpenLoop, Receding

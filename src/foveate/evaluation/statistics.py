@@ -1,9 +1,9 @@
 """Intervals of means and paired comparisons; the values given are taken as independent (scenes, not episodes)."""
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -12,16 +12,6 @@ from scipy.special import stdtrit
 LEVEL = 0.95
 
 Values = Sequence[float] | Float[np.ndarray, " values"]
-Item = TypeVar("Item")
-Key = TypeVar("Key", bound=Hashable)
-
-
-def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Group items by a key, in the order in which keys first appear."""
-    groups: dict[Key, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from foveate.errors import InputError
 from foveate.evaluation.comparison import Overall
-from foveate.evaluation.statistics import group_by
+from foveate.io.grouping import group_by
 from foveate.plotting.comparison import log_axis, tidy
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION, clean, new_figure, save

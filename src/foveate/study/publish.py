@@ -9,10 +9,10 @@ from typing import Any
 from foveate.evaluation.bounds import lower_bounds
 from foveate.evaluation.comparison import Comparison, as_json, compare
 from foveate.evaluation.evaluate import prepare
-from foveate.evaluation.statistics import group_by
 from foveate.experiment.presets import PPO
 from foveate.experiment.run_folder import METRICS, read_validations
 from foveate.io.files import write_atomic, write_document
+from foveate.io.grouping import group_by
 from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest

@@ -8,8 +8,9 @@ import numpy as np
 
 from foveate.evaluation.bounds import lower_bounds, normalised_score
 from foveate.evaluation.evaluate import episode_rows, evaluate_traces, prepare
-from foveate.evaluation.statistics import group_by, mean_interval, paired
+from foveate.evaluation.statistics import mean_interval, paired
 from foveate.experiment.experiment import Experiment
+from foveate.io.grouping import group_by
 from foveate.scenario.factors import Factor
 from foveate.simulation.records import PROTOCOLS, Policy
 from foveate.simulation.suites import suite

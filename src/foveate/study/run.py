@@ -17,13 +17,13 @@ from foveate import __version__
 from foveate.errors import InputError
 from foveate.evaluation.comparison import Part
 from foveate.evaluation.evaluate import Row
-from foveate.evaluation.statistics import group_by
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
 from foveate.io.cache import Job
 from foveate.io.files import sole_writer, write_atomic
+from foveate.io.grouping import group_by
 from foveate.io.toml import digest
 from foveate.learning.train import train
 from foveate.scenario.factors import Factor

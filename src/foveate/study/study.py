@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import prepare
-from foveate.evaluation.statistics import group_by
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.resolve import with_initial_error
+from foveate.io.grouping import group_by
 from foveate.scenario.factors import FACTORS, Factor
 from foveate.simulation.records import PROTOCOLS
 from foveate.simulation.suites import SUITE_SEED, table1

@@ -7,8 +7,8 @@ import numpy as np
 
 from foveate.evaluation.bounds import Cell
 from foveate.evaluation.comparison import Comparison, Difference, Overall
-from foveate.evaluation.statistics import group_by
 from foveate.evaluation.summary import Summary
+from foveate.io.grouping import group_by
 from foveate.io.tables import Table
 from foveate.scenario.factors import Factor
 from foveate.study.robustness import ORACLE, Point, Verdict, verdicts
