@@ -23,7 +23,7 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
 from foveate.io.toml import digest
 from foveate.learning.loop import METRICS
-from foveate.learning.train import train_watched
+from foveate.learning.train import train, watched
 from foveate.plotting.animation import animate
 from foveate.plotting.figures import learning_curve, trajectory_figure
 from foveate.simulation.records import PROTOCOLS
@@ -40,7 +40,8 @@ def main() -> None:
     shutil.rmtree(OUT, ignore_errors=True)
     experiment = PRESETS["paper"]
     print(f"training into {OUT}: {experiment.training.epochs} epochs of {experiment.training.episodes} episodes")
-    outcome = train_watched(experiment, OUT, str(OUT))
+    with watched(experiment, str(OUT)) as report:
+        outcome = train(experiment, OUT, report=report)
     trained = time.perf_counter()
     print(f"trained in {trained - began:.0f} s, compilation included; held-out score {outcome.best_score:.2f}")
 

@@ -12,7 +12,7 @@ from foveate.cli.main import COMMANDS, main
 INTRODUCTION = """# Commands
 
 `foveate COMMAND --help` says the same in a terminal. Exit status: 0 done, 1 ran but a check failed, 2 wrong input (one
-line on stderr), 130 interrupted. Where a command takes `RUN|PRESET`, the name of a preset stands for the trained policy
+line on stderr), 70 a bug of foveate, 130 interrupted. `--debug`, beside any command, shows the traceback of an error. Where a command takes `RUN|PRESET`, the name of a preset stands for the trained policy
 that the package brings.
 """
 PANEL = re.compile(r"^ \S.*\n -+\n((?:  .*\n)+)", re.MULTILINE)

@@ -4,6 +4,9 @@
     policy = foveate.train(scenario, out="runs/a")  or one trained for a world of your own
     command = policy(belief, pose)                  [m/s, rad/s]; beliefs by foveate.Belief or foveate.Tracker
     foveate.evaluate(policy, "table1")              scores, what was seen, errors: a table
+    foveate.plan("table1")                          the same of a planner
+    foveate.replay(policy, "walkers.csv")           the same in a recording of real targets
+    foveate.fit("walkers.csv").experiment           what to train for them
 
 Everything else is in the modules that these come from. Nothing is imported before it is asked for.
 """
@@ -20,6 +23,7 @@ _HOMES = {
     "BallView": "scenario.field_of_view",
     "Belief": "deploy.belief",
     "Bench": "study.methods",
+    "Comparison": "recordings.compare",
     "ConeView": "scenario.field_of_view",
     "DifferentialDrive": "scenario.agent",
     "DriftTarget": "scenario.target",
@@ -27,17 +31,21 @@ _HOMES = {
     "evaluate": "api",
     "Evaluation": "evaluation.report",
     "Experiment": "experiment.experiment",
+    "fit": "api",
+    "Fitted": "recordings.fitted",
     "Fixed": "study.methods",
     "FixedWing": "scenario.agent",
     "FreeBody": "scenario.agent",
     "FrustumView": "scenario.field_of_view",
     "heuristic": "policies.heuristics",
+    "InputError": "errors",
     "Learned": "study.methods",
     "LinearTarget": "scenario.target",
     "load": "api",
     "load_recording": "recordings.formats",
     "Method": "study.methods",
     "Observation": "simulation.records",
+    "plan": "api",
     "Planned": "study.methods",
     "PlanSettings": "planning.shooting",
     "PointerSettings": "policies.pointer",
@@ -50,6 +58,7 @@ _HOMES = {
     "Quadrotor": "scenario.agent",
     "read_scenes": "scenario.scenes",
     "Recording": "recordings.recording",
+    "replay": "api",
     "rollout": "simulation.rollout",
     "Row": "evaluation.evaluate",
     "Scenario": "scenario.scenario",

@@ -1,10 +1,14 @@
 from foveate.api import evaluate as evaluate
+from foveate.api import fit as fit
 from foveate.api import load as load
+from foveate.api import plan as plan
+from foveate.api import replay as replay
 from foveate.api import train as train
 from foveate.deploy.belief import Belief as Belief
 from foveate.deploy.policy import TrainedPolicy as TrainedPolicy
 from foveate.deploy.tracker import Seen as Seen
 from foveate.deploy.tracker import Tracker as Tracker
+from foveate.errors import InputError as InputError
 from foveate.evaluation.evaluate import Row as Row
 from foveate.evaluation.report import Evaluation as Evaluation
 from foveate.evaluation.summary import Summary as Summary
@@ -18,6 +22,8 @@ from foveate.planning.shooting import PlanSettings as PlanSettings
 from foveate.policies.attention import AttentionSettings as AttentionSettings
 from foveate.policies.heuristics import heuristic as heuristic
 from foveate.policies.pointer import PointerSettings as PointerSettings
+from foveate.recordings.compare import Comparison as Comparison
+from foveate.recordings.fitted import Fitted as Fitted
 from foveate.recordings.formats import load_recording as load_recording
 from foveate.recordings.recording import Recording as Recording
 from foveate.scenario.agent import DifferentialDrive as DifferentialDrive

@@ -19,9 +19,10 @@ from foveate.errors import InputError
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.numpy_poses import positions, rotation
 from foveate.models import belief
-from foveate.models.gate import GATE, RESTART_AFTER, gate_limit
+from foveate.models.gate import RESTART_AFTER, gate_limit
 from foveate.models.missed_detection import given_missed_detection
 from foveate.models.problem import Problem
+from foveate.names import GATE
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Observation
 

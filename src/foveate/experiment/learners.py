@@ -6,9 +6,8 @@ from typing import ClassVar, Literal
 from foveate.errors import InputError
 from foveate.io.validate import not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
+from foveate.names import Objective, ProtocolName
 from foveate.simulation.records import Backpropagation, Protocol
-
-Objective = Literal["terminal", "mean", "seen"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +16,7 @@ class ValidationSettings:
     best is kept.
     """
 
-    select: Literal["surrogate", "true"] = "surrogate"
+    select: ProtocolName = "surrogate"
     held_out: int = 240
 
     def __post_init__(self) -> None:
@@ -162,8 +161,8 @@ class ActorCriticSettings(ValidationSettings):
 
     RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
     algorithm: Literal["actor-critic"]
-    protocols: tuple[Literal["surrogate", "true"], ...] = ("true",)
-    select: Literal["surrogate", "true"] = "true"
+    protocols: tuple[ProtocolName, ...] = ("true",)
+    select: ProtocolName = "true"
     objective: Objective = "terminal"
     """What is earned."""
     epochs: int = 500

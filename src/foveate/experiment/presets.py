@@ -1,5 +1,6 @@
-"""Everything that defines a run, as it stands in `config.toml`: the world, the policy and how it is trained."""
+"""Presets and learners by name, and the changes that options make to an experiment."""
 
+import math
 from dataclasses import replace
 
 from foveate.errors import InputError
@@ -135,4 +136,25 @@ def adjusted(
             right = " or ".join(counted)
             raise InputError(f"{name} {value}: this algorithm does not count them: expected {right}")
         training = replace(training, **{name: value})
+    return replace(experiment, training=training)
+
+
+def for_long_horizons(experiment: Experiment, remat: bool = False, window: int | None = None) -> Experiment:
+    """The experiment with less memory, or a bounded gradient, for episodes of many steps.
+
+    Args:
+        experiment: trained by the policy gradient; raises InputError for another learner.
+        remat: remember few states of an episode and run what lies between again (the same gradient).
+        window: steps after which the gradient is cut off (another gradient); None keeps it whole.
+    """
+    if not remat and window is None:
+        return experiment
+    training, scenes = experiment.training, experiment.scenario.scenes
+    if not isinstance(training, TrainingSettings):
+        raise InputError("remat, window: expected a training by the policy gradient")
+    if window is not None:
+        training = replace(training, window=window)
+    if remat:
+        # As many segments as steps in each: their sum, the states that are remembered, is smallest at the square root.
+        training = replace(training, segment=math.isqrt(scenes.horizon(scenes.targets_max) - 1) + 1)
     return replace(experiment, training=training)

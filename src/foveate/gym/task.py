@@ -14,10 +14,7 @@ from gymnasium import spaces
 from jaxtyping import Key
 
 from foveate.errors import InputError
-from foveate.experiment.experiment import Experiment
-from foveate.experiment.presets import PRESETS
-from foveate.experiment.run_folder import CONFIG
-from foveate.io.toml import load_toml
+from foveate.experiment.resolve import experiment_from
 from foveate.policies.inputs import Features, Frame, Scale, policy_features
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.batch import Batch, Programs
@@ -27,21 +24,6 @@ from foveate.types import Scalar
 
 LARGEST = np.finfo(np.float32).max
 """The bound of numbers that have none: infinite ones are what checkers of environments complain of."""
-
-
-def scenario_of(scenario: Scenario | str | Path) -> Scenario:
-    """A scenario as it is, that of a preset, or that of a TOML file or a run folder. Raises ValueError for others."""
-    if isinstance(scenario, Scenario):
-        return scenario
-    if str(scenario) in PRESETS:
-        return PRESETS[str(scenario)].scenario
-    path = Path(scenario)
-    if path.is_dir():
-        path = path / CONFIG
-    if not path.exists():
-        known = ", ".join(PRESETS)
-        raise InputError(f"scenario = {str(scenario)!r}: expected a preset ({known}), a TOML file or a run folder")
-    return load_toml(Experiment, path).scenario
 
 
 @dataclass(frozen=True)
@@ -97,7 +79,8 @@ class Task:
     """The environments that settings mean, side by side, with their spaces."""
 
     def __init__(self, settings: TaskSettings, count: int, anew: bool) -> None:
-        scenario = scenario_of(settings.scenario)
+        named = settings.scenario
+        scenario = named if isinstance(named, Scenario) else experiment_from(named).scenario
         if settings.frame == "body" and not scenario.problem().motion.begins_with_position:
             raise InputError("frame = 'body': expected targets whose state begins with the position: take 'world'")
         length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m

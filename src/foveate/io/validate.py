@@ -37,6 +37,12 @@ def seed_number(seed: int, name: str) -> None:
         raise InputError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
+def at_least(value: int | None, name: str, least: int) -> None:
+    """Raise InputError for an argument that is given and too small."""
+    if value is not None and value < least:
+        raise InputError(f"{name} {value}: expected >= {least}")
+
+
 def representable(settings: Any, path: str = "", least: float = LEAST) -> None:
     """Raise ValueError unless float32 knows all numbers in it, and squares: 0, or from 1e-18 to 1e12 in size.
 

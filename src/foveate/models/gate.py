@@ -12,10 +12,6 @@ from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.belief import Belief
 
-GATE = 0.9999
-"""Refuses one honest measurement in ten thousand."""
-
-
 RESTART_AFTER = 5
 """The last of so many rejections in a row is taken, and the belief begins anew with it: the target has really jumped."""
 

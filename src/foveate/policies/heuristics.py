@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
+from foveate.names import HEURISTICS
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point, Scalar
 
@@ -129,9 +130,6 @@ class Lawnmower(Steering):
         away = jnp.linalg.norm(corners[turn] - agent.space.position(observation.pose))
         turn = jnp.where(away < reach, (turn + 1) % len(corners), turn)
         return corners[turn], jnp.array(True), (corners, turn)
-
-
-HEURISTICS = ("random", "still", "nearest", "uncertain", "lawnmower")
 
 
 def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:

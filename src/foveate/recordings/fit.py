@@ -1,12 +1,12 @@
 """From a recording to a scenario: who moves there and how, as an experiment that trains a policy for it."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from foveate.experiment.experiment import REACH, Experiment
 from foveate.experiment.learners import ActorCriticSettings
+from foveate.names import Goal
 from foveate.policies.pointer import PointerSettings
 from foveate.recordings.motion import MotionStatistics
 from foveate.scenario.agent import DifferentialDrive, Quadrotor
@@ -31,9 +31,7 @@ class Robot:
     std_m: float
 
 
-def fit_experiment(
-    statistics: MotionStatistics, robot: Robot, goal: Literal["seen", "information"] = "seen"
-) -> Experiment:
+def fit_experiment(statistics: MotionStatistics, robot: Robot, goal: Goal = "seen") -> Experiment:
     """A scenario whose targets appear where the recording has them and move as it says, for the user's robot, and a
     policy that learns there by trying.
 

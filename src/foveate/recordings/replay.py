@@ -15,8 +15,9 @@ from foveate.evaluation.metrics import chi_square_band, longest_run, splits
 from foveate.experiment.experiment import Experiment
 from foveate.io.provenance import provenance
 from foveate.io.toml import digest
-from foveate.models.gate import GATE, gate_limit
+from foveate.models.gate import gate_limit
 from foveate.models.problem import Problem
+from foveate.names import GATE
 from foveate.recordings.motion import fit_statistics, median_fix_interval_s
 from foveate.recordings.recording import Recording, Slots, resample_slots
 from foveate.scenario.scenario import Scenario

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.io.files import content_digest, read_document, write_document
 from foveate.io.validate import not_negative, require
+from foveate.names import InitialError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +52,7 @@ class SceneSettings:
     """Largest change of the drift at a step, on each axis."""
     steps_per_target: int = 3
     steps: int | None = None
-    initial_error: Literal["paper", "consistent"] = "paper"
+    initial_error: InitialError = "paper"
     """How far first means are from the truth."""
 
     def __post_init__(self) -> None:

@@ -18,8 +18,9 @@ from foveate.evaluation.planners import planner, planner_rows
 from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import PPO, PRESETS
+from foveate.names import HEURISTICS
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
-from foveate.policies.heuristics import HEURISTICS, heuristic
+from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
 
 Report = Callable[[int], None]
