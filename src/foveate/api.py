@@ -58,21 +58,24 @@ def train(
     resume: bool = False,
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a policy, and return the best of it by held-out scenes.
+    """Train a policy, and return the best of it by held-out scenes; warns where the training had to stop early.
 
     Args:
-        world: a preset's name, a TOML file as `foveate fit` writes it, a run folder, or an `Experiment`: these say how
-            to train. Or a `Scenario`, which is trained as the preset `like` is.
-        like: for a `Scenario`: "true-view" takes minutes, "paper" seconds.
-        algorithm, epochs, episodes, steps: in place of what `world` says (`steps` are of PPO).
-        remat, window: for episodes of many steps, as `foveate train --help` says.
+        world: a preset's name, a TOML file as `fit` writes it, a run folder, an `Experiment`, or a `Scenario`.
+        like: preset whose network and learner a `Scenario` gets: "true-view" takes minutes, "paper" seconds.
+        algorithm: another learner than `world` says.
+        epochs: another number of them.
+        episodes: another number in each epoch.
+        steps: of PPO in place of epochs and episodes.
+        remat: for long episodes, the same gradient in less memory.
+        window: for long episodes, steps after which the gradient is cut off.
         seed: of weights and scenes.
         out: run folder to keep everything in; without it only the returned policy is left (see its `save`).
         resume: go on with the interrupted training in `out`.
-        progress: a bar on a terminal, a line at each tenth in a notebook, nothing elsewhere.
+        progress: show a bar on a terminal, a line at each tenth in a notebook.
 
-    Raises InputError for settings that do not fit, and where `out` holds a run already; warns where a training had to
-    stop early.
+    Raises:
+        InputError: settings that do not fit, or `out` holds a run already.
     """
     seed_number(seed, "seed")
     if resume and out is None:
@@ -107,18 +110,20 @@ def evaluate(
     normalised: bool = False,
     progress: bool = True,
 ) -> Evaluation:
-    """Evaluate a policy, and heuristics beside it: scores, targets seen, errors, and whether the filter knows them.
-
-    Every method meets the same scenes with the same noise. Raises InputError for what does not fit.
+    """Evaluate a policy, and heuristics beside it, all on the same scenes with the same noise.
 
     Args:
         policy: a trained one, a run folder, a preset's name, or a `foveate.Policy` of your own with its `scenario`.
-        scenes: a scenes file, "table1" (the paper's suite), "own" (drawn from the scenario with `scene_seed`), or a
-            list; by default table1 in the plane, own in space.
+        scenes: a file, a list, "table1" (the paper's), or "own" (drawn from the scenario; default in space).
         method: "policy", "random", "still", "nearest", "uncertain", "lawnmower", several of them, or "all".
-        protocol, initial_error, normalised: as `foveate evaluate --help` says.
-        episodes, seed: runs of every scene, and the seed of their noise.
+        protocol: how information is counted, softly as in the paper or by real measurements.
+        episodes: runs of every scene.
+        seed: of the noise.
+        scene_seed: of the scenes of table1 or own.
+        initial_error: of first means, as a measurement's or as the belief claims; None: as the scenario says.
         scenario: another one than the policy was trained for.
+        normalised: also the score between lower bound (0) and omniscient planner (1), whose plans take minutes, once.
+        progress: show a bar.
     """
     methods, protocols = methods_of(method), _protocols(protocol, episodes, seed, scene_seed)
     subject = subject_of(policy, scenario)
@@ -167,16 +172,21 @@ def plan(
 ) -> Evaluation:
     """Evaluate a planner on the scenes and noise of `evaluate`: by default iCR as published, in receding horizon.
 
-    Raises InputError for what does not fit.
-
     Args:
-        scenes, protocol, episodes, seed, scene_seed: as for `evaluate`.
-        world: a preset's name, a TOML file, an `Experiment` or a `Scenario` to plan in.
+        scenes: as for `evaluate`.
+        world: a preset's name, a TOML file, a run folder, an `Experiment` or a `Scenario` to plan in.
         run: a trained policy, a run folder or a preset's name, in place of `world`.
         refine: steps of ascent from what the policy of `run` would do.
         omniscient: know every future input, true positions, and no noise.
         open_loop: plan once, at the start.
-        starts, iterations, window: of the planner, as `foveate plan --help` says.
+        starts: sequences to begin from; None: as published, omniscient 64.
+        iterations: steps of ascent of each; None: the planner's own number.
+        window: most steps that a receding-horizon plan looks ahead.
+        protocol: how information is counted, and so what is planned for.
+        episodes: runs of every scene.
+        seed: of the noise.
+        scene_seed: of the scenes of table1 or own.
+        progress: show a bar.
     """
     options = PlanOptions(
         refine=refine, starts=starts, iterations=iterations, window=window, omniscient=omniscient, open_loop=open_loop
@@ -185,8 +195,7 @@ def plan(
     if refine is not None and run is None:
         raise InputError(f"refine {refine}: expected the policy to refine: give run")
     subject = None if run is None else subject_of(run)
-    given = Experiment(scenario=world) if isinstance(world, Scenario) else world
-    experiment = experiment_from(given) if subject is None else subject.experiment
+    experiment = experiment_from(world) if subject is None else subject.experiment
     chosen, known = scenes_of(scenes, scene_seed, experiment)
     policy = None if subject is None or refine is None else subject.network()
     suite = PlanSuite(experiment=experiment, scenes=known, seed=seed, episodes=episodes, policy=policy)

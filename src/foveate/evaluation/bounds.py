@@ -227,7 +227,7 @@ def _known(path: Path, content: str, shape: tuple[int, ...]) -> tuple[np.ndarray
     """Actions and seconds that a file keeps; None where it is not there, or not as it was written."""
     try:
         header, arrays = load_arrays(path, KIND, VERSION)
-    except ValueError:
+    except InputError:
         return None
     fits = header.get("content") == content and set(arrays) == {"action", "seconds"}
     if not fits or arrays["action"].shape != shape or arrays["seconds"].shape != shape[:1]:

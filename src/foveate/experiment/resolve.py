@@ -33,6 +33,7 @@ TRAINED = Path(__file__).parent / "trained"
 Name = str | Path
 
 
+@typing.runtime_checkable
 class Trained(typing.Protocol):
     """A policy with the experiment that trained it, as `deploy.policy.TrainedPolicy`."""
 
@@ -84,10 +85,12 @@ def experiment_of(run: Name) -> Experiment:
     return load_toml(Experiment, run_folder(run) / CONFIG)
 
 
-def experiment_from(source: Experiment | Name) -> Experiment:
-    """Resolve an experiment to train or simulate: as it is, by a preset's name, of a TOML file, or of a run folder."""
+def experiment_from(source: Experiment | Scenario | Name) -> Experiment:
+    """Resolve what to train or simulate: an experiment, a scenario, a preset's name, a TOML file, or a run folder."""
     if isinstance(source, Experiment):
         return source
+    if isinstance(source, Scenario):
+        return Experiment(scenario=source)
     if isinstance(source, str) and source in PRESETS:
         return PRESETS[source]
     path = Path(source)

@@ -15,6 +15,7 @@ from jaxtyping import Key
 
 from foveate.errors import InputError
 from foveate.experiment.resolve import experiment_from
+from foveate.names import ProtocolName
 from foveate.policies.inputs import Features, Frame, Scale, policy_features
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.batch import Batch, Programs
@@ -40,7 +41,7 @@ class TaskSettings:
 
     scenario: Scenario | str | Path = "paper"
     _: KW_ONLY
-    protocol: Literal["true", "surrogate"] = "true"
+    protocol: ProtocolName = "true"
     noise: bool = True
     horizon: Literal["truncated", "terminated"] = "truncated"
     observation: Literal["dict", "flat"] = "dict"
@@ -79,8 +80,7 @@ class Task:
     """The environments that settings mean, side by side, with their spaces."""
 
     def __init__(self, settings: TaskSettings, count: int, anew: bool) -> None:
-        named = settings.scenario
-        scenario = named if isinstance(named, Scenario) else experiment_from(named).scenario
+        scenario = experiment_from(settings.scenario).scenario
         if settings.frame == "body" and not scenario.problem().motion.begins_with_position:
             raise InputError("frame = 'body': expected targets whose state begins with the position: take 'world'")
         length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m

@@ -7,6 +7,7 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from foveate.errors import InputError
 from foveate.io.files import file_error
 
 T = TypeVar("T")
@@ -85,7 +86,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
         values[name] = None
     try:
         return cls(**values)
-    except ValueError as error:
+    except InputError as error:
         raise at.error(str(error)) from error
 
 

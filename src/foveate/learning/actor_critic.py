@@ -17,12 +17,11 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from foveate.errors import InputError
-from foveate.experiment.learners import ActorCriticSettings
+from foveate.experiment.learners import ActorCriticSettings, Objective
 from foveate.geometry.linalg import log_det_spd
 from foveate.learning.learner import Learner, Report
 from foveate.learning.objective import step_scores
 from foveate.models.problem import Problem
-from foveate.names import Objective
 from foveate.policies.inputs import rich_numbers
 from foveate.policies.layers import Layers, fresh_layers
 from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder

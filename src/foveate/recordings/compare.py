@@ -144,19 +144,23 @@ def replay(
     scenario: Scenario | None = None,
     progress: bool = True,
 ) -> Comparison:
-    """Drive a policy, and heuristics beside it, through a recording of real targets.
+    """Drive a policy, and heuristics beside it, through a recording of real targets, all with the same noise.
 
-    Raises InputError for what does not fit; lines that begin with "warning:" go to standard error.
+    Lines that begin with "warning:" go to standard error.
 
     Args:
-        policy, method, scenario: as for `evaluate`.
-        recording: a file, or as `foveate.load_recording` reads it.
-        start, end: of the part to replay [s].
+        policy: as for `foveate.evaluate`.
+        recording: a file, or what `foveate.load_recording` reads from it.
+        method: as for `foveate.evaluate`.
+        start: first time to replay [s].
+        end: last time to replay [s].
         agent_start: pose to start from [m, rad], as numbers; by default the middle of the recording.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
         gate: probability of the filter's chi-square gate; None takes every measurement.
         seed: of the noise and of random starts.
+        scenario: another one than the policy was trained for.
+        progress: show a bar.
     """
     subject, part = subject_of(policy, scenario), window(as_recording(recording), start, end)
     settings = ReplaySettings(

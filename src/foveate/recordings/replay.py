@@ -261,7 +261,7 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
     if motion.state_size == scenario.dimension:
         try:
             statistics = fit_statistics(recording, float(scenario.tau_s), float(max_gap_s))
-        except ValueError:  # too few pairs of fixes to judge W by
+        except InputError:  # too few pairs of fixes to judge W by
             return found
         walk = float(np.trace(statistics.walk_covariance_m2))
         claimed = float(jnp.trace(motion.W))

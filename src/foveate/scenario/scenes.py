@@ -169,7 +169,7 @@ def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene
     agent = _row(row["agent"], f"{where}: agent", None)
     try:
         space.from_numbers(agent)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{where}: agent = {list(agent)}: {error}") from None
     targets = _rows(row["targets"], f"{where}: targets", space.dimension)
     drift = ((0.0,) * space.dimension,) * len(targets)
