@@ -12,7 +12,7 @@ def test_tables_have_these_keys() -> None:
     assert tuple(presets.PRESETS) == names.PRESETS
     assert tuple(presets.LEARNERS) == names.LEARNERS
     assert tuple(PROTOCOLS) == get_args(names.ProtocolName)
-    assert names.METHODS == ("policy", *names.HEURISTICS)
+    assert ("policy", *names.HEURISTICS) == names.METHODS
 
 
 def test_every_heuristic_can_be_made() -> None:

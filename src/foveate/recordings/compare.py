@@ -102,7 +102,7 @@ class Comparison:
         return html(self.table)
 
 
-def _mean(values: Sequence[float | None], form: str) -> str:
+def _mean(values: Sequence[float | int | None], form: str) -> str:
     known = [value for value in values if value is not None]
     return f"{np.mean(known):{form}}" if known else "-"
 
