@@ -22,7 +22,7 @@ from foveate.experiment.resolve import (
     with_initial_error,
 )
 from foveate.experiment.resolve import load as load_parts
-from foveate.io.validate import at_least, seed_number
+from foveate.io.validate import check_count, seed_number
 from foveate.learning import train as training
 from foveate.names import InitialError, Learner, Preset
 from foveate.recordings.compare import replay as replay
@@ -147,7 +147,7 @@ def _protocols(protocol: str, episodes: int, seed: int, scene_seed: int) -> tupl
     """The protocols that are meant; raises InputError for a wrong argument of an evaluation."""
     seed_number(seed, "seed")
     seed_number(scene_seed, "scene_seed")
-    at_least(episodes, "episodes", 1)
+    check_count(episodes, "episodes")
     if protocol not in (*PROTOCOLS, "both"):
         raise InputError(f"protocol {protocol!r}: expected surrogate, true or both")
     return tuple(PROTOCOLS) if protocol == "both" else (protocol,)

@@ -241,6 +241,11 @@ def test_wrong_input_is_one_line(
     assert "presets are paper" in failure(capsys, "evaluate", "nowhere")
     assert "expected one of" in failure(capsys, "evaluate", str(run), "--method", "psychic")
     assert "--episodes 0" in failure(capsys, "evaluate", str(run), "--episodes", "0")
+    many = str(10**30)  # more than any array or counter holds
+    assert f"--episodes {many}: expected <=" in failure(capsys, "evaluate", str(run), "--episodes", many)
+    assert f"--episodes = {many}: expected <=" in failure(capsys, "train", "--episodes", many)
+    assert f"--window = {many}: expected <=" in failure(capsys, "train", "--window", many)
+    assert f"--starts {many}: expected <=" in failure(capsys, "plan", "--starts", many)
     assert "bad.csv" in failure(capsys, "replay", str(run), str(bad))
     assert "--agent-start 1,2" in failure(capsys, "replay", str(run), str(recording), "--agent-start", "1,2")
     assert "spans" in failure(capsys, "replay", str(run), str(recording), "--start", "1000")

@@ -14,7 +14,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.io.files import cache_folder
 from foveate.io.progress import Bar
 from foveate.io.toml import digest
-from foveate.io.validate import at_least
+from foveate.io.validate import check_count
 from foveate.planning.receding import OpenLoop
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
 from foveate.scenario.scenes import Scene, scenes_digest
@@ -38,7 +38,7 @@ class PlanOptions:
 
     def __post_init__(self) -> None:
         for name in ("starts", "iterations", "refine", "window"):
-            at_least(getattr(self, name), name, 1)
+            check_count(getattr(self, name), name)
         if self.window is not None and (self.omniscient or self.open_loop):
             raise InputError(f"window {self.window}: only a receding-horizon plan has one")
         if self.omniscient and (self.open_loop or self.refine is not None):

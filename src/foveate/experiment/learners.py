@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from foveate.errors import InputError
-from foveate.io.validate import not_negative, positive, require
+from foveate.io.validate import MOST_THINGS, not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.names import Objective, ProtocolName
 from foveate.simulation.records import Backpropagation, Protocol
@@ -21,6 +21,9 @@ class ValidationSettings:
 
     def __post_init__(self) -> None:
         require(self.held_out >= 1, "held_out", self.held_out, "expected >= 1")
+        for name in ("held_out", "episodes", "environments", "rollout_steps", "batch", "segment", "window"):
+            size = getattr(self, name, None)  # each learner has some of them
+            require(size is None or size <= MOST_THINGS, name, size, f"expected <= {MOST_THINGS}")
 
 
 @dataclass(frozen=True, kw_only=True)

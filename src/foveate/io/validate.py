@@ -10,6 +10,10 @@ from foveate.errors import InputError
 LEAST, MOST = 1e-18, 1e12
 
 
+MOST_THINGS = 1_000_000
+"""Most episodes, starts or iterations that can be asked for: all are held in memory at once, and counted in int32."""
+
+
 Matrix = tuple[tuple[float, ...], ...]
 
 
@@ -37,10 +41,12 @@ def seed_number(seed: int, name: str) -> None:
         raise InputError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
-def at_least(value: int | None, name: str, least: int) -> None:
-    """Raise InputError for an argument that is given and too small."""
-    if value is not None and value < least:
-        raise InputError(f"{name} {value}: expected >= {least}")
+def check_count(value: int | None, name: str) -> None:
+    """Raise InputError for a number of things that is given, and is not from 1 to MOST_THINGS."""
+    if value is not None and value < 1:
+        raise InputError(f"{name} {value}: expected >= 1")
+    if value is not None and value > MOST_THINGS:
+        raise InputError(f"{name} {value}: expected <= {MOST_THINGS}")
 
 
 def representable(settings: Any, path: str = "", least: float = LEAST) -> None:

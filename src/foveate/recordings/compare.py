@@ -13,7 +13,7 @@ from foveate.experiment.resolve import Subject, Trained, methods_of, subject_of
 from foveate.io.files import write_document
 from foveate.io.progress import Bar
 from foveate.io.tables import Table, html, text
-from foveate.io.validate import at_least, seed_number
+from foveate.io.validate import check_count, seed_number
 from foveate.names import GATE
 from foveate.recordings.fitted import as_recording
 from foveate.recordings.motion import default_max_gap_s
@@ -114,7 +114,7 @@ def agent_starts(
 
     Raises InputError where `given` is no pose of the scenario's space, or more than one start is asked for beside it.
     """
-    at_least(count, "starts", 1)
+    check_count(count, "starts")
     if given is not None:
         if count > 1:
             raise InputError("agent_start and starts: expected one of them")

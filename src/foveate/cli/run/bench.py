@@ -6,7 +6,7 @@ from foveate.bench.report import measure, read_ratios, regressions
 from foveate.cli.bench import Bench
 from foveate.cli.common import check_output, print_table
 from foveate.errors import InputError
-from foveate.io.validate import at_least
+from foveate.io.validate import check_count
 
 
 def run(options: Bench) -> int:
@@ -15,7 +15,7 @@ def run(options: Bench) -> int:
     if not options.episodes:
         raise InputError("--episodes: expected at least one number")
     for size in options.episodes:
-        at_least(size, "episodes", 1)
+        check_count(size, "episodes")
     if not options.tolerance > 0:
         raise InputError(f"--tolerance {options.tolerance}: expected > 0")
     before = {} if options.baseline is None else read_ratios(options.baseline)
