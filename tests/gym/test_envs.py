@@ -242,6 +242,7 @@ def test_wrong_use_is_named():
 def test_without_gymnasium_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, "foveate.gym")
+    monkeypatch.delitem(sys.modules, "foveate.gym.envs")
     with pytest.raises(ImportError, match=re.escape("pip install 'foveate[gym]'")):
         importlib.import_module("foveate.gym")
 
