@@ -4,7 +4,7 @@ import ast
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import jax
@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 
 import foveate
 from foveate.cli.main import main
-from foveate.experiment.checkpoint import policy_shape
-from foveate.experiment.presets import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_scenario
+from foveate.experiment.checkpoint import policy_shape, write_config
+from foveate.experiment.presets import PRESETS, QUADROTOR, TrainingSettings, adjusted, for_long_horizons, for_scenario
+from foveate.experiment.resolve import experiment_from
 from foveate.experiment.run_folder import Outcome, Validation
 from foveate.io.progress import Bar
+from foveate.io.toml import load_toml
 from foveate.learning import train as learner
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
@@ -207,7 +209,7 @@ def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) 
     assert trainer[-1][0] == PRESETS["paper"]
     with pytest.raises(ValueError, match="resume: expected out"):
         foveate.train("paper", resume=True)
-    with pytest.raises(ValueError, match="nobody: expected a preset, that is paper, "):
+    with pytest.raises(ValueError, match=r"nobody: expected a preset \(paper, "):
         foveate.train("nobody")
     with pytest.raises(ValueError, match="seed -1: expected"):
         foveate.train("paper", seed=-1)
@@ -253,6 +255,100 @@ def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert f"<td>{mine.summary[0].mean:.2f}</td>" in mine._repr_html_()
 
 
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Two walkers in the plane, for 10 s."""
+    path = tmp_path / "walkers.csv"
+    rows = "".join(f"{0.5 * k},a,{-3 + 0.5 * k},2\n{0.5 * k},b,1,{4 - 0.4 * k}\n" for k in range(20))
+    path.write_text(f"time_s,track_id,x_m,y_m\n{rows}")
+    return path
+
+
+def test_plans_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foveate.evaluation.planners.decision_time", lambda *_, **__: 0.125)
+    policy, out, scenes = untrained(PLANE), tmp_path / "run", tmp_path / "scenes.json"
+    policy.save(out)
+    write_scenes(scenes, [SCENE])
+    command = ["plan", "--scenes", str(scenes), "--run", str(out), "--open-loop", "--iterations", "2", "--seed", "3"]
+    assert main([*command, "--protocol", "true", "--json", str(tmp_path / "a")]) == 0
+    options = {"open_loop": True, "iterations": 2, "protocol": "true", "seed": 3}
+    foveate.plan(scenes, run=out, **options).to_json(tmp_path / "b")
+    mine = foveate.plan([SCENE], world=PLANE.scenario, **options)
+    a, b = (json.loads((tmp_path / name).read_text()) for name in "ab")
+    assert a == b
+    assert a["rows"] == [json.loads(json.dumps(asdict(row))) for row in mine.rows]
+    assert {row.method for row in mine.rows} == {"icr-open"}
+    assert "icr-open" in repr(mine)
+    for wrong, complaint in (
+        ({"refine": 2}, "refine 2: expected the policy to refine"),
+        ({"starts": 0}, "starts 0: expected >= 1"),
+        ({"omniscient": True, "open_loop": True}, "omniscient: "),
+        ({"window": 3, "open_loop": True}, "window 3: only a receding-horizon plan"),
+    ):
+        with pytest.raises(foveate.InputError, match=complaint):
+            foveate.plan([SCENE], **wrong)
+
+
+def test_fits_as_the_command(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(recording), "--out", str(tmp_path / "a.toml"), "--end", "8", "--v-max", "2"]) == 0
+    fitted = foveate.fit(recording, end=8.0, v_max=2.0)
+    fitted.save(tmp_path / "b.toml")
+    assert (tmp_path / "a.toml").read_bytes() == (tmp_path / "b.toml").read_bytes()
+    assert load_toml(foveate.Experiment, tmp_path / "a.toml") == fitted.experiment
+    assert fitted.experiment.scenario.agent.v_max_m_s == 2.0
+    assert repr(fitted) in capsys.readouterr().out
+    assert foveate.fit(foveate.load_recording(recording), end=8.0, v_max=2.0).experiment == fitted.experiment
+    with pytest.raises(foveate.InputError, match=r"tau = 0\.0: expected > 0"):
+        foveate.fit(recording, tau=0.0)
+
+
+def test_replays_as_the_command(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foveate.recordings.replay.decision_time", lambda *_: 0.125)
+    policy, out = untrained(PLANE), tmp_path / "run"
+    policy.save(out)
+    command = ["replay", str(out), str(recording), "--method", "policy", "still", "--agent-start=1,-1,0.5"]
+    assert main([*command, "--end", "8", "--json", str(tmp_path / "a")]) == 0
+    options = {"method": ["policy", "still"], "end": 8.0, "agent_start": [1.0, -1.0, 0.5]}
+    foveate.replay(out, recording, **options).to_json(tmp_path / "b")
+    a, b = (json.loads((tmp_path / name).read_text()) for name in "ab")
+    assert a == b
+    mine = foveate.replay(policy, foveate.load_recording(recording), progress=False, **options)
+    assert [json.loads(json.dumps(asdict(row))) for row in mine.rows] == a["rows"]
+    assert [row.method for row in mine.rows] == list(mine.traces) == ["policy", "still"]
+    assert f"{mine.rows[0].log_det_mean:.2f}" in repr(mine)
+    assert f"<td>{mine.rows[0].log_det_mean:.2f}</td>" in mine._repr_html_()
+    for wrong, complaint in (
+        ({"agent_start": [1.0, 2.0]}, "agent_start 1,2: planar pose"),
+        ({"agent_start": [0.0, 0.0, 0.0], "starts": 2}, "agent_start and starts"),
+        ({"starts": 0}, "starts 0: expected >= 1"),
+        ({"gate": 2.0}, "gate = 2.0"),
+        ({"method": "psychic"}, "method 'psychic'"),
+    ):
+        with pytest.raises(foveate.InputError, match=complaint):
+            foveate.replay(policy, recording, **wrong)
+
+
+def test_an_experiment_is_one_a_scenario_a_preset_a_file_or_a_run(tmp_path: Path) -> None:
+    write_config(tmp_path, SPACE)
+    assert experiment_from("paper") == PRESETS["paper"]
+    assert experiment_from(tmp_path) == experiment_from(str(tmp_path / "config.toml")) == SPACE
+    assert experiment_from(SPACE) is SPACE
+    assert experiment_from(QUADROTOR).scenario is QUADROTOR
+    with pytest.raises(foveate.InputError, match=r"nobody: expected a preset \(paper, "):
+        experiment_from("nobody")
+
+
+def test_memory_and_gradients_of_long_episodes_are_bounded_where_asked() -> None:
+    paper = PRESETS["paper"]
+    assert for_long_horizons(paper) is paper
+    training = for_long_horizons(paper, remat=True, window=5).training
+    longest = paper.scenario.scenes.horizon(paper.scenario.scenes.targets_max)
+    assert training.window == 5
+    assert training.segment**2 >= longest > (training.segment - 1) ** 2
+    with pytest.raises(foveate.InputError, match="expected a training by the policy gradient"):
+        for_long_horizons(PRESETS["best"], remat=True)
+
+
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
@@ -269,7 +365,7 @@ def test_an_evaluation_that_cannot_be_is_rejected(options: dict, complaint: str)
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=complaint):
         foveate.evaluate(policy, **{"scenes": [SCENE], **options})
-    with pytest.raises(ValueError, match="scenario: expected the world"):
+    with pytest.raises(ValueError, match="scenario: expected the scenario"):
         foveate.evaluate(policy.network, [SCENE])
 
 

@@ -4,6 +4,9 @@
     policy = foveate.train(scenario, out="runs/a")  or one trained for a scenario of your own
     command = policy(belief, pose)                  [m/s, rad/s]; beliefs by foveate.Belief or foveate.Tracker
     foveate.evaluate(policy, "table1")              scores, what was seen, errors: a table
+    foveate.plan("table1")                          the same of a planner
+    foveate.replay(policy, "walkers.csv")           the same in a recording of real targets
+    foveate.fit("walkers.csv").experiment           what to train for them
 
 Everything that programs import is a name of `foveate` itself, of `foveate.gym` or of `foveate.stonesoup`. A name is
 loaded when it is first used.
@@ -22,6 +25,7 @@ _HOMES = {
     "BallView": "scenario.field_of_view",
     "Belief": "deploy.belief",
     "Benchmark": "study.methods",
+    "Comparison": "recordings.compare",
     "ConeView": "scenario.field_of_view",
     "DifferentialDrive": "scenario.agent",
     "DriftTarget": "scenario.target",
@@ -30,6 +34,8 @@ _HOMES = {
     "evaluate": "api",
     "Evaluation": "evaluation.report",
     "Experiment": "experiment.experiment",
+    "fit": "api",
+    "Fitted": "recordings.fitted",
     "Fixed": "study.methods",
     "FixedWing": "scenario.agent",
     "for_scenario": "experiment.presets",
@@ -45,6 +51,7 @@ _HOMES = {
     "Method": "study.methods",
     "Observation": "simulation.records",
     "own_suite": "simulation.suites",
+    "plan": "api",
     "Planned": "study.methods",
     "PlanSettings": "planning.shooting",
     "PointerSettings": "policies.pointer",
@@ -60,6 +67,7 @@ _HOMES = {
     "read_scenes": "scenario.scenes",
     "Recording": "recordings.recording",
     "replay_figure": "plotting.figures",
+    "replay": "api",
     "rollout": "simulation.rollout",
     "Row": "evaluation.evaluate",
     "Scenario": "scenario.scenario",

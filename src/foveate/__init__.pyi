@@ -1,5 +1,8 @@
 from foveate.api import evaluate as evaluate
+from foveate.api import fit as fit
 from foveate.api import load as load
+from foveate.api import plan as plan
+from foveate.api import replay as replay
 from foveate.api import train as train
 from foveate.deploy.belief import Belief as Belief
 from foveate.deploy.policy import TrainedPolicy as TrainedPolicy
@@ -30,6 +33,8 @@ from foveate.policies.attention import AttentionSettings as AttentionSettings
 from foveate.policies.heuristics import Steering as Steering
 from foveate.policies.heuristics import heuristic as heuristic
 from foveate.policies.pointer import PointerSettings as PointerSettings
+from foveate.recordings.compare import Comparison as Comparison
+from foveate.recordings.fitted import Fitted as Fitted
 from foveate.recordings.formats import load_recording as load_recording
 from foveate.recordings.recording import Recording as Recording
 from foveate.recordings.recording import Track as Track

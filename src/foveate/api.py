@@ -1,4 +1,4 @@
-"""What Python programs and notebooks call: train, load, evaluate. The commands of the same names stand on it too."""
+"""Functions of Python programs and notebooks, one a command: load, train, evaluate, plan, fit, replay."""
 
 import tempfile
 import warnings
@@ -9,33 +9,35 @@ from typing import Literal
 
 from foveate.deploy.policy import TrainedPolicy
 from foveate.errors import InputError
+from foveate.evaluation.plan import PlanOptions, PlanSuite, evaluate_plans
 from foveate.evaluation.report import Evaluation, evaluate_all
 from foveate.experiment.experiment import Experiment
-from foveate.experiment.presets import PRESETS, adjusted, for_scenario
-from foveate.experiment.resolve import experiment_of, policy_of, scenes_of, with_initial_error
+from foveate.experiment.presets import adjusted, for_long_horizons, for_scenario
+from foveate.experiment.resolve import (
+    Trained,
+    experiment_from,
+    methods_of,
+    scenes_of,
+    subject_of,
+    with_initial_error,
+)
 from foveate.experiment.resolve import load as load_parts
-from foveate.io.toml import load_toml
-from foveate.io.validate import seed_number
-from foveate.learning.train import train_watched
-from foveate.models.problem import Problem
-from foveate.policies.heuristics import HEURISTICS
+from foveate.io.validate import check_count, seed_number
+from foveate.learning import train as training
+from foveate.names import InitialError, Learner, Preset
+from foveate.recordings.compare import replay as replay
+from foveate.recordings.fitted import fit as fit
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import Scene, checked
-from foveate.simulation.records import Policy
+from foveate.scenario.scenes import Scene
+from foveate.simulation.records import PROTOCOLS, Policy
 
-Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
-
-
-Algorithm = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
-
-
-METHODS = ("policy", *HEURISTICS)
+Protocols = Literal["surrogate", "true", "both"]
 
 
 def load(run: str | Path) -> TrainedPolicy:
-    """The best policy of a run folder, or the trained policy that the package brings of a preset.
+    """Load the best policy of a run folder, or the trained policy that the package ships for a preset.
 
-    Raises ValueError, in one line, where there is neither, or a file of it is not what it should be.
+    Raises InputError, in one line, where there is neither, or a file of it is not what it should be.
     """
     experiment, network, facts = load_parts(run)
     return TrainedPolicy(name=str(run), experiment=experiment, network=network, facts=facts)
@@ -45,84 +47,95 @@ def train(
     world: Scenario | Experiment | str | Path = "paper",
     *,
     like: Preset = "true-view",
-    algorithm: Algorithm | None = None,
+    algorithm: Learner | None = None,
     epochs: int | None = None,
     episodes: int | None = None,
     steps: int | None = None,
+    remat: bool = False,
+    window: int | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     resume: bool = False,
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a policy, and give the best of it by held-out scenes.
+    """Train a policy, and return the best of it by held-out scenes; warns where the training had to stop early.
 
-    `world`: a preset's name, or a TOML file as `foveate fit` writes it, or an `Experiment`: these say how to train. Or
-    a `Scenario`, which is trained as the preset `like` is: "true-view" takes minutes, "paper" seconds. `algorithm`,
-    `epochs`, `episodes` (of PPO `steps`) override what they say. Everything is kept in the run folder `out`, with which
-    `resume=True` goes on after an interruption; without it only the policy that is returned is left (see its `save`).
-    `progress` shows a bar on a terminal, a line at each tenth in a notebook, and nothing elsewhere; False is quiet.
+    Args:
+        world: a preset's name, a TOML file as `fit` writes it, a run folder, an `Experiment`, or a `Scenario`.
+        like: preset whose network and learner a `Scenario` gets: "true-view" takes minutes, "paper" seconds.
+        algorithm: another learner than `world` says.
+        epochs: another number of them.
+        episodes: another number in each epoch.
+        steps: of PPO in place of epochs and episodes.
+        remat: for long episodes, the same gradient in less memory.
+        window: for long episodes, steps after which the gradient is cut off.
+        seed: of weights and scenes.
+        out: run folder to keep everything in; without it only the returned policy is left (see its `save`).
+        resume: go on with the interrupted training in `out`.
+        progress: show a bar on a terminal, a line at each tenth in a notebook.
 
-    Raises ValueError for settings that do not fit, and where `out` holds a run already; warns where a training had to
-    stop early.
+    Raises:
+        InputError: settings that do not fit, or `out` holds a run already.
     """
     seed_number(seed, "seed")
     if resume and out is None:
         raise InputError("resume: expected out, the run folder to go on with")
-    experiment = adjusted(_experiment(world, like), algorithm, epochs, episodes, steps)
+    experiment = for_scenario(world, like) if isinstance(world, Scenario) else experiment_from(world)
+    experiment = for_long_horizons(adjusted(experiment, algorithm, epochs, episodes, steps), remat, window)
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
             return _trained(experiment, Path(folder) / "run", "a policy", seed, resume, progress)
     return _trained(experiment, Path(out), str(out), seed, resume, progress)
 
 
+def _trained(experiment: Experiment, out: Path, name: str, seed: int, resume: bool, progress: bool) -> TrainedPolicy:
+    with training.watched(experiment, name, quiet=not progress) as report:
+        outcome = training.train(experiment, out, seed, resume, report)
+    if outcome.stopped:
+        warnings.warn(f"{name}: the training stopped early: {outcome.stopped}", stacklevel=3)
+    return replace(load(out), name=name)
+
+
 def evaluate(
-    policy: TrainedPolicy | Policy | str | Path,
+    policy: Trained | Policy | str | Path,
     scenes: str | Path | Sequence[Scene] | None = None,
     *,
     method: str | Sequence[str] = "policy",
-    protocol: Literal["surrogate", "true", "both"] = "both",
+    protocol: Protocols = "both",
     episodes: int = 1,
     seed: int = 0,
     scene_seed: int = 2023,
-    initial_error: Literal["paper", "consistent"] | None = None,
+    initial_error: InitialError | None = None,
     scenario: Scenario | None = None,
     normalised: bool = False,
     progress: bool = True,
 ) -> Evaluation:
-    """How well a policy does: its scores, what it saw, its errors, and whether its filter knows them.
+    """Evaluate a policy, and heuristics beside it, all on the same scenes with the same noise.
 
-    `policy`: a trained one, a run folder, a preset's name, or a `foveate.simulation.records.Policy` of your own with its
-    `scenario`. `scenes`: a scenes file, or "table1", the paper's suite, or "own", drawn from the scenario (with
-    `scene_seed`), or a list; by default table1 in the plane, own in space. `method`: "policy", and in its place or
-    beside it policies made by hand, "random", "still", "nearest", "uncertain" and "lawnmower", or "all". Every method
-    meets the same scenes with the same noise, from `seed`, `episodes` times each. `protocol`, `initial_error`,
-    `normalised`: as `foveate evaluate --help` says. `scenario`: another world than its own.
-
-    Raises ValueError for what does not fit.
+    Args:
+        policy: a trained one, a run folder, a preset's name, or a `foveate.Policy` of your own with its `scenario`.
+        scenes: a file, a list, "table1" (the paper's), or "own" (drawn from the scenario; default in space).
+        method: "policy", "random", "still", "nearest", "uncertain", "lawnmower", several of them, or "all".
+        protocol: how information is counted, softly as in the paper or by real measurements.
+        episodes: runs of every scene.
+        seed: of the noise.
+        scene_seed: of the scenes of table1 or own.
+        initial_error: of first means, as a measurement's or as the belief claims; None: as the scenario says.
+        scenario: another one than the policy was trained for.
+        normalised: also the score between lower bound (0) and omniscient planner (1), whose plans take minutes, once.
+        progress: show a bar.
     """
-    methods = list(dict.fromkeys([method] if isinstance(method, str) else method))
-    asked = list(METHODS) if "all" in methods else methods
-    seed_number(seed, "seed")
-    seed_number(scene_seed, "scene_seed")
-    if episodes < 1:
-        raise InputError(f"episodes {episodes}: expected >= 1")
-    if protocol not in ("surrogate", "true", "both"):
-        raise InputError(f"protocol {protocol!r}: expected surrogate, true or both")
-    experiment = _world_of(policy, scenario)
-    experiment = with_initial_error(experiment, initial_error)
-    if scenes is None or isinstance(scenes, str | Path):
-        chosen, found = scenes_of(scenes, scene_seed, experiment)
-    else:
-        problem = experiment.scenario.problem()
-        chosen, found = "scenes", checked(scenes, problem.agent.space, experiment.scenario.scenes)
-    name = _name_of(policy)
+    methods, protocols = methods_of(method), _protocols(protocol, episodes, seed, scene_seed)
+    subject = subject_of(policy, scenario)
+    subject = replace(subject, experiment=with_initial_error(subject.experiment, initial_error))
+    chosen, known = scenes_of(scenes, scene_seed, subject.experiment)
     return evaluate_all(
-        f"{name} on {chosen}",
-        {"run": name, "scenes": chosen},
-        experiment,
-        {one: _policy(policy, one, experiment) for one in asked},
-        found,
-        protocols=("surrogate", "true") if protocol == "both" else (protocol,),
+        f"{subject.name} on {chosen}",
+        {"run": subject.name, "scenes": chosen},
+        subject.experiment,
+        {name: subject.policy(name) for name in methods},
+        known,
+        protocols=protocols,
         episodes=episodes,
         seed=seed,
         normalised=normalised,
@@ -130,61 +143,61 @@ def evaluate(
     )
 
 
-def _experiment(world: Scenario | Experiment | str | Path, like: Preset) -> Experiment:
-    """What is to be trained."""
-    if isinstance(world, Scenario):
-        return for_scenario(world, like)
-    if isinstance(world, Experiment):
-        return world
-    if str(world) in PRESETS:
-        return PRESETS[str(world)]
-    if Path(world).suffix != ".toml":
-        raise InputError(f"{world}: expected a preset, that is {', '.join(PRESETS)}, or a file that ends in .toml")
-    return load_toml(Experiment, world)
+def _protocols(protocol: str, episodes: int, seed: int, scene_seed: int) -> tuple[str, ...]:
+    """The protocols that are meant; raises InputError for a wrong argument of an evaluation."""
+    seed_number(seed, "seed")
+    seed_number(scene_seed, "scene_seed")
+    check_count(episodes, "episodes")
+    if protocol not in (*PROTOCOLS, "both"):
+        raise InputError(f"protocol {protocol!r}: expected surrogate, true or both")
+    return tuple(PROTOCOLS) if protocol == "both" else (protocol,)
 
 
-def _trained(experiment: Experiment, out: Path, name: str, seed: int, resume: bool, progress: bool) -> TrainedPolicy:
-    outcome = train_watched(experiment, out, name, seed, resume, quiet=not progress)
-    if outcome.stopped:
-        warnings.warn(f"{name}: the training stopped early: {outcome.stopped}", stacklevel=3)
-    return replace(load(out), name=name)
+def plan(
+    scenes: str | Path | Sequence[Scene] | None = None,
+    *,
+    world: Scenario | Experiment | str | Path = "paper",
+    run: Trained | str | Path | None = None,
+    refine: int | None = None,
+    omniscient: bool = False,
+    open_loop: bool = False,
+    starts: int | None = None,
+    iterations: int | None = None,
+    window: int | None = None,
+    protocol: Protocols = "both",
+    episodes: int = 1,
+    seed: int = 0,
+    scene_seed: int = 2023,
+    progress: bool = True,
+) -> Evaluation:
+    """Evaluate a planner on the scenes and noise of `evaluate`: by default iCR as published, in receding horizon.
 
-
-def _world_of(policy: TrainedPolicy | Policy | str | Path, scenario: Scenario | None) -> Experiment:
-    """The experiment whose world is to be evaluated in."""
-    if isinstance(policy, Policy):
-        if scenario is None:
-            raise InputError("scenario: expected the world of a policy that foveate did not train")
-        return Experiment(scenario=scenario)
-    if not isinstance(policy, TrainedPolicy | str | Path):
-        raise InputError(
-            f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.simulation.records.Policy"
-        )
-    own = policy.experiment if isinstance(policy, TrainedPolicy) else experiment_of(policy)
-    if scenario is None:
-        return own
-    now, new = (_shape_of(world.problem()) for world in (own.scenario, scenario))
-    if now != new:
-        raise InputError(f"scenario: has {new}: expected {now}, as the policy was trained for")
-    return replace(own, scenario=scenario)
-
-
-def _shape_of(problem: Problem) -> str:
-    """What a policy's numbers in and out depend on."""
-    n_y, axes = problem.motion.state_size, len(problem.agent.axes)
-    return f"{problem.agent.space.dimension} dimensions, states of {n_y} numbers and {axes} of a command"
-
-
-def _name_of(policy: TrainedPolicy | Policy | str | Path) -> str:
-    if isinstance(policy, Policy):
-        return type(policy).__name__
-    return policy.name if isinstance(policy, TrainedPolicy) else str(policy)
-
-
-def _policy(policy: TrainedPolicy | Policy | str | Path, method: str, experiment: Experiment) -> Policy:
-    """The policy of a method: the one that was given, or one made by hand."""
-    if method == "policy" and isinstance(policy, TrainedPolicy):
-        return policy.network
-    if method == "policy" and isinstance(policy, Policy):
-        return policy
-    return policy_of(policy if isinstance(policy, str | Path) else "", method, experiment)
+    Args:
+        scenes: as for `evaluate`.
+        world: a preset's name, a TOML file, a run folder, an `Experiment` or a `Scenario` to plan in.
+        run: a trained policy, a run folder or a preset's name, in place of `world`.
+        refine: steps of ascent from what the policy of `run` would do.
+        omniscient: know every future input, true positions, and no noise.
+        open_loop: plan once, at the start.
+        starts: sequences to begin from; None: as published, omniscient 64.
+        iterations: steps of ascent of each; None: the planner's own number.
+        window: most steps that a receding-horizon plan looks ahead.
+        protocol: how information is counted, and so what is planned for.
+        episodes: runs of every scene.
+        seed: of the noise.
+        scene_seed: of the scenes of table1 or own.
+        progress: show a bar.
+    """
+    options = PlanOptions(
+        refine=refine, starts=starts, iterations=iterations, window=window, omniscient=omniscient, open_loop=open_loop
+    )
+    protocols = _protocols(protocol, episodes, seed, scene_seed)
+    if refine is not None and run is None:
+        raise InputError(f"refine {refine}: expected the policy to refine: give run")
+    subject = None if run is None else subject_of(run)
+    experiment = experiment_from(world) if subject is None else subject.experiment
+    chosen, known = scenes_of(scenes, scene_seed, experiment)
+    policy = None if subject is None or refine is None else subject.network()
+    suite = PlanSuite(experiment=experiment, scenes=known, seed=seed, episodes=episodes, policy=policy)
+    facts = {"scene_seed": scene_seed, "run": None if subject is None else subject.name}
+    return evaluate_plans(suite, options, chosen, facts, protocols=protocols, quiet=not progress)

@@ -10,8 +10,8 @@ import pytest
 
 from foveate.bench import timing
 from foveate.bench import workloads as benchmarks
+from foveate.bench.report import read_ratios, regressions
 from foveate.bench.timing import Metric
-from foveate.cli.bench import read_ratios, regressions
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]

@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 import shlex
 import subprocess
 import sys
@@ -73,6 +74,52 @@ def test_help_needs_no_jax_and_names_every_command() -> None:
     assert done.stdout.strip().endswith("False")
     for command in ("train", "evaluate", "plan", "fit", "replay", "render", "view", "export"):
         assert command in done.stdout
+
+
+def test_module_runs_as_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "foveate", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"foveate {foveate.__version__}\n")
+    done = subprocess.run([sys.executable, "-m", "foveate", "fit", "none.csv"], capture_output=True, check=False)
+    assert done.returncode == 2
+
+
+def test_help_answers_at_once() -> None:
+    """Under 0.5 s on a free machine: processor time, of the quickest of three, does not grow with other work on it."""
+
+    def seconds() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "foveate", "--help"], capture_output=True, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    assert min(seconds() for _ in range(3)) < 0.5
+
+
+@pytest.mark.parametrize("error", [ValueError("shapes (2,) and (3,)"), OverflowError("too large"), KeyError("x")])
+def test_a_bug_is_shown_as_one(
+    error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Any exception but InputError and OSError: exit status 70, and a traceback with --debug only."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("foveate.api.evaluate", fails)
+    assert main(["evaluate", "paper"]) == 70
+    said = capsys.readouterr().err
+    assert f"this is a bug of foveate: {type(error).__name__}: {error}\n" in said
+    assert f"version (foveate {foveate.__version__})" in said
+    assert "Traceback" not in said
+    assert main(["--debug", "evaluate", "paper"]) == 70
+    assert "in fails\n" in capsys.readouterr().err
+
+
+def test_debug_shows_where_wrong_input_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = str(tmp_path / "missing.csv")
+    assert main(["fit", missing, "--debug", "--out", str(tmp_path / "x.toml")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("Traceback")
+    assert said.strip().splitlines()[-1].startswith(f"foveate: {missing}: no such file")
 
 
 def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.CaptureFixture[str]) -> None:
@@ -159,12 +206,12 @@ def test_plan_refuses_what_does_not_fit(
     assert "--window 5" in failure(capsys, *plan, "--window", "5", "--omniscient")
     assert "give one of them" in failure(capsys, *plan, "--preset", "best", "--run", str(run))
     assert "--episodes 0" in failure(capsys, *plan, "--episodes", "0")
-    assert "give --run RUN" in failure(capsys, *plan, "--refine", "3")
+    assert "--refine 3: expected the policy to refine" in failure(capsys, *plan, "--refine", "3")
     assert "--refine 0" in failure(capsys, *plan, "--run", str(run), "--refine", "0")
     assert "no other option" in failure(capsys, *plan, "--run", str(run), "--refine", "3", "--starts", "2")
     assert "--omniscient" in failure(capsys, *plan, "--omniscient", "--open-loop")
     assert "give one of them" in failure(capsys, *plan, "--run", str(run), "--config", str(run / "config.toml"))
-    assert "presets are paper" in failure(capsys, *plan, "--preset", "nobody")
+    assert "expected a preset (paper" in failure(capsys, *plan, "--preset", "nobody")
     assert "nowhere" in failure(capsys, *plan, "--run", str(tmp_path / "nowhere"))
     assert "no such file" in failure(capsys, "plan", "--scenes", str(tmp_path / "missing.json"))
     assert "is an input" in failure(capsys, *plan, "--json", str(scenes))
@@ -194,6 +241,11 @@ def test_wrong_input_is_one_line(
     assert "presets are paper" in failure(capsys, "evaluate", "nowhere")
     assert "expected one of" in failure(capsys, "evaluate", str(run), "--method", "psychic")
     assert "--episodes 0" in failure(capsys, "evaluate", str(run), "--episodes", "0")
+    many = str(10**30)  # more than any array or counter holds
+    assert f"--episodes {many}: expected <=" in failure(capsys, "evaluate", str(run), "--episodes", many)
+    assert f"--episodes = {many}: expected <=" in failure(capsys, "train", "--episodes", many)
+    assert f"--window = {many}: expected <=" in failure(capsys, "train", "--window", many)
+    assert f"--starts {many}: expected <=" in failure(capsys, "plan", "--starts", many)
     assert "bad.csv" in failure(capsys, "replay", str(run), str(bad))
     assert "--agent-start 1,2" in failure(capsys, "replay", str(run), str(recording), "--agent-start", "1,2")
     assert "spans" in failure(capsys, "replay", str(run), str(recording), "--start", "1000")

@@ -27,6 +27,7 @@ import numpy as np
 
 import foveate
 from foveate.cli.main import COMMANDS, main
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.io.toml import dumps_toml, load_toml
@@ -79,15 +80,10 @@ NUMBERS = (
 SHARES = (0.2, 0.03, 0.07, 0.07, 0.08, 0.05, 0.05, 0.05, 0.05, 0.35)
 """Probabilities of the kinds of mutation; gentle ones are more frequent, as gross damage is rejected at the surface."""
 HEAVY = (
-    *(
-        "progress.train_watched",
-        "api.evaluate",
-        "planned.planner_rows",
-        "yardstick.omniscient_rows",
-        "evaluation.prepare",
-    ),
-    *("replay.prepare_replay", "reproduction.reproduce", "view.serve", "view.record", "benchmarks.measurements"),
-    *("timing.measure_references", "export.export"),
+    *("cli.run.train.train", "api.evaluate_all", "api.evaluate_plans", "recordings.compare.prepare_replay"),
+    *("plotting.render.prepare", "plotting.live.sources.prepare", "plotting.live.sources.prepare_replay"),
+    *("study.run.reproduce", "cli.run.view.serve", "cli.run.view.record", "cli.run.export.export"),
+    *("bench.workloads.measurements", "bench.timing.measure_references"),
 )
 """Functions that do the work of a command once its arguments and files are read; they are not run here."""
 ODD = (
@@ -204,7 +200,7 @@ def light() -> Iterator[None]:
             importlib.import_module(module.name)
     with contextlib.ExitStack() as stack:
         for place in HEAVY:
-            stack.enter_context(mock.patch(f"foveate.{place}", side_effect=ValueError("its work would begin here")))
+            stack.enter_context(mock.patch(f"foveate.{place}", side_effect=InputError("its work would begin here")))
         yield
 
 
@@ -232,7 +228,7 @@ def read(reader: Callable[[Path], object], path: Path) -> str:
         reader(path)
     except ValueError as error:
         said, kind = str(error), type(error)
-        fine = kind is ValueError and len(said.splitlines()) == 1 and str(path) in said
+        fine = kind is InputError and len(said.splitlines()) == 1 and str(path) in said
         require(fine, f"not one line that names the file: {kind.__name__}: {said}")
         return "rejected"
     return "taken"

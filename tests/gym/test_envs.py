@@ -15,10 +15,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import foveate.gym.envs
-from foveate.experiment.checkpoint import write_config
-from foveate.experiment.experiment import Experiment
-from foveate.experiment.presets import PRESETS, QUADROTOR
-from foveate.gym.task import TaskSettings, scenario_of
+from foveate.errors import InputError
+from foveate.gym.task import Task, TaskSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.target import LinearTarget
@@ -183,14 +181,9 @@ def test_a_window_shows_each_step(monkeypatch):
     assert plt.get_fignums() == []
 
 
-def test_a_scenario_is_one_a_preset_a_file_or_a_run(tmp_path: Path):
-    write_config(tmp_path, Experiment(scenario=QUADROTOR))
-    assert scenario_of("paper") == PRESETS["paper"].scenario
-    assert scenario_of(tmp_path) == scenario_of(str(tmp_path / "config.toml")) == QUADROTOR
-    assert scenario_of(QUADROTOR) is QUADROTOR
-    known = "paper, best, true-view, search, quadrotor"
-    with pytest.raises(ValueError, match=re.escape(f"scenario = 'nobody': expected a preset ({known})")):
-        scenario_of("nobody")
+def test_unknown_scenario_is_rejected():
+    with pytest.raises(InputError, match=r"nobody: expected a preset \(paper, "):
+        Task(TaskSettings("nobody"), 1, anew=False)
 
 
 def test_wrong_use_is_named():
@@ -249,6 +242,7 @@ def test_wrong_use_is_named():
 def test_without_gymnasium_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, "foveate.gym")
+    monkeypatch.delitem(sys.modules, "foveate.gym.envs")
     with pytest.raises(ImportError, match=re.escape("pip install 'foveate[gym]'")):
         importlib.import_module("foveate.gym")
 

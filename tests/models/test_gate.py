@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from foveate.deploy.tracker import Tracker
 from foveate.models.belief import Belief
-from foveate.models.gate import GATE, RESTART_AFTER, gate_limit, one_point, squared_distance
+from foveate.models.gate import RESTART_AFTER, gate_limit, one_point, squared_distance
+from foveate.names import GATE
 from foveate.policies.heuristics import heuristic
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario

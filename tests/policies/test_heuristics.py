@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from foveate.policies.heuristics import HEURISTICS, heuristic
+from foveate.names import HEURISTICS
+from foveate.policies.heuristics import heuristic
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import TriangleView
 from foveate.scenario.scenario import Scenario

@@ -1,4 +1,4 @@
-"""What several commands share: compiled programs that are kept, checks of options, tables."""
+"""What several commands share: settings of JAX, checks of output files, tables."""
 
 import os
 import sys
@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from foveate.errors import InputError
-
-METHODS = ("policy", "random", "still", "nearest", "uncertain", "lawnmower")
-"""The trained policy, and the hand-made ones (`policies.heuristic.METHODS`; repeated here to keep help fast)."""
 
 
 def keep_compiled() -> None:
@@ -41,34 +38,18 @@ def compile_fast() -> None:
         os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 
-def check_methods(methods: Sequence[str]) -> tuple[str, ...]:
-    """The methods to run, `all` spelled out. Raises ValueError for a name that is not known."""
-    if "all" in methods:
-        return METHODS
-    for name in methods:
-        if name not in METHODS:
-            raise InputError(f"--method {name}: expected one of {', '.join(METHODS)}, or all")
-    return tuple(dict.fromkeys(methods))
-
-
 def check_seed(seed: int, name: str = "--seed") -> None:
-    """Raise ValueError for a seed that is no seed."""
+    """Raise InputError for a seed outside of its range."""
     from foveate.io.validate import seed_number
 
     seed_number(seed, name)
 
 
-def check_least(name: str, value: int | None, least: int) -> None:
-    """Raise ValueError for an option that is given and too small."""
-    if value is not None and value < least:
-        raise InputError(f"{name} {value}: expected >= {least}")
-
-
-def check_output(path: Path | None, *inputs: Path | str, folder: bool = False) -> None:
-    """Raise ValueError now, not after minutes of work, where a result could not be written or would hit an input."""
+def check_output(path: Path | None, *inputs: Path | str | None, folder: bool = False) -> None:
+    """Raise InputError now, not after minutes of work, where a result could not be written or would hit an input."""
     if path is None:
         return
-    if any(path.resolve() == Path(name).resolve() for name in inputs):
+    if any(path.resolve() == Path(name).resolve() for name in inputs if name):
         raise InputError(f"{path}: is an input of this command: choose another file")
     if path.exists() and path.is_dir() != folder:
         raise InputError(f"{path}: is {'no ' * folder}a folder: choose another place")

@@ -6,11 +6,12 @@ from typing import Annotated, Literal
 
 import tyro
 
-from foveate.cli.options import option
+from foveate.cli.options import Command, option
+from foveate.names import InitialError
 
 
 @dataclass(kw_only=True)
-class Evaluate:
+class Evaluate(Command):
     """Score a policy, or policies made by hand, on scenes.
 
     surrogate: the paper's score; information grows softly, also for targets near the view. true: the Kalman filter
@@ -33,7 +34,7 @@ class Evaluate:
     """Noise draws per scene."""
     seed: int = 0
     """Seed of the noise."""
-    initial_error: Annotated[Literal["paper", "consistent"] | None, option("paper|consistent")] = None
+    initial_error: Annotated[InitialError | None, option("paper|consistent")] = None
     """How far first means are off: as a measurement is (paper: less than the belief claims), or as the first belief
     claims (consistent; default: as the scenario says)."""
     normalised: Annotated[bool, tyro.conf.arg(aliases=("--closeness",))] = False
@@ -43,33 +44,3 @@ class Evaluate:
     """Write rows and summary for programs."""
     write_scenes: Annotated[Path | None, option("FILE")] = None
     """Write the scenes that were run as a scenes file."""
-
-    def run_command(self) -> int:
-        """Evaluate, print the summary, write the files."""
-        from foveate.api import evaluate
-        from foveate.cli.common import check_least, check_methods, check_output, check_seed, print_table
-        from foveate.scenario.scenes import write_scenes
-
-        methods = check_methods(self.method)
-        for path in (self.json, self.write_scenes):
-            check_output(path, *([self.scenes] if self.scenes else []))
-        check_least("--episodes", self.episodes, 1)
-        check_seed(self.seed)
-        check_seed(self.scene_seed, "--scene-seed")
-        found = evaluate(
-            self.run,
-            self.scenes,
-            method=methods,
-            protocol=self.protocol,
-            episodes=self.episodes,
-            seed=self.seed,
-            scene_seed=self.scene_seed,
-            initial_error=self.initial_error,
-            normalised=self.normalised,
-        )
-        print_table(found.table.title, found.table.header, found.table.rows)
-        if self.json is not None:
-            found.to_json(self.json)
-        if self.write_scenes is not None:
-            write_scenes(self.write_scenes, found.scenes)
-        return 0

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
-from foveate.cli.options import option
-from foveate.errors import InputError
+from foveate.cli.options import Command, option
+from foveate.names import Goal
 
 
 @dataclass(kw_only=True)
-class Fit:
+class Fit(Command):
     """Derive a scenario from a recording of real targets, ready for `foveate train --config`.
 
     Taken from the recording: targets at once, where they are, how fast, how far a step carries them. Yours: the agent
@@ -42,36 +42,5 @@ class Fit:
     sensor_std_m: float = 0.3
     """Standard deviation of a measured position [m]."""
 
-    goal: Literal["seen", "information"] = "seen"
+    goal: Goal = "seen"
     """seen: have the targets in view for as long as possible. information: know all of them well."""
-
-    def run_command(self) -> int:
-        """Fit, say what was found, write the experiment."""
-        from foveate.cli.common import check_output
-        from foveate.io.toml import save_toml
-        from foveate.recordings.fit import Robot, fit_experiment
-        from foveate.recordings.formats import load_recording
-        from foveate.recordings.motion import fit_statistics
-        from foveate.recordings.recording import window
-
-        check_output(self.out, self.recording)
-        if self.out.exists():
-            raise InputError(f"{self.out}: exists already: choose another --out")
-        recording = window(load_recording(self.recording), self.start, self.end)
-        if self.tau <= 0:
-            raise InputError(f"--tau {self.tau}: expected > 0")
-        found = fit_statistics(recording, self.tau, self.max_gap)
-        robot = Robot(
-            v_max=self.v_max,
-            w_max=self.w_max,
-            depth_m=self.view_depth,
-            angle_deg=self.view_angle_deg,
-            std_m=self.sensor_std_m,
-        )
-        experiment = fit_experiment(found, robot, self.goal)
-        said = found.lines()
-        print("\n".join(said))
-        header = "\n".join([f"Fitted to {self.recording.name} by foveate fit.", *said])
-        save_toml(experiment, self.out, header, sealed=False)
-        print(f"{self.out}: written; next  foveate train --config {self.out}")
-        return 0

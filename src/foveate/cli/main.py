@@ -4,7 +4,10 @@ import functools
 import inspect
 import operator
 import sys
+import traceback
 from collections.abc import Sequence
+from dataclasses import fields
+from importlib import import_module
 from typing import Annotated, Any
 
 import tyro
@@ -30,15 +33,14 @@ A run in three commands:
   foveate evaluate runs/first --scenes table1
   foveate replay runs/first RECORDING.csv --out runs/first/replay
 
-foveate COMMAND --help explains each; --version prints the version. RUN may be a preset: its trained policy is here.
+foveate COMMAND --help explains each; --version prints the version; --debug, beside any command, shows the traceback of
+an error. RUN may be a preset: its trained policy is here.
+
+Exit status: 0 done, 1 ran but a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted.
 """
 
-
-def _command(kind: type, name: str, is_asked: bool) -> Any:
-    """The command for tyro: with the first line of its docstring in the list, and all of it on its own page."""
-    text = inspect.cleandoc(kind.__doc__ or "")
-    return Annotated[kind, tyro.conf.subcommand(name, description=text if is_asked else text.splitlines()[0])]
-
+WRONG_INPUT, BUG, INTERRUPTED = 2, 70, 130
+"""Exit statuses; 70 is EX_SOFTWARE of sysexits.h."""
 
 COMMANDS = {
     "train": Train,
@@ -54,41 +56,69 @@ COMMANDS = {
 }
 
 
-def _reject_repeated(arguments: Sequence[str]) -> None:
-    """Raise ValueError where an option is given twice: the parser would take the last and say nothing."""
-    names = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{twice[0]}: is given twice: expected once, with all of its values behind it")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input (one line on stderr), 130 interrupted."""
-    given = sys.argv[1:] if arguments is None else arguments
-    if list(given) == ["--version"]:
+    """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    debug, given = "--debug" in given, [argument for argument in given if argument != "--debug"]
+    if given == ["--version"]:
         print(f"foveate {__version__}")
         return 0
-    kinds = [_command(kind, name, is_asked=name in given[:1]) for name, kind in COMMANDS.items()]
-    choice: Any = functools.reduce(operator.or_, kinds)
+    command = None
     try:
-        command = tyro.cli(
-            choice, prog="foveate", description=DESCRIPTION, args=arguments, config=(tyro.conf.OmitSubcommandPrefixes,)
-        )
-        _reject_repeated(given)
-        keep_compiled()
-        full_precision()
-        return command.run_command()
-    except ValueError as error:
-        print(f"foveate: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"foveate: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except (OverflowError, MemoryError) as error:
-        print(f"foveate: a number is too large: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("foveate: interrupted", file=sys.stderr)
-        return 130
+        command = _parsed(given)
+        return _run(command)
+    except (Exception, KeyboardInterrupt) as error:
+        if debug:
+            traceback.print_exc()
+        status, lines = _failure(error, command)
+        print(f"foveate: {lines}", file=sys.stderr)
+        return status
+
+
+def _parsed(given: Sequence[str]) -> Any:
+    """The command with its options. Raises InputError for an option that is given twice."""
+    kinds = [_for_tyro(kind, name, is_chosen=name in given[:1]) for name, kind in COMMANDS.items()]
+    choice: Any = functools.reduce(operator.or_, kinds)
+    config = (tyro.conf.OmitSubcommandPrefixes,)
+    command = tyro.cli(choice, prog="foveate", description=DESCRIPTION, args=given, config=config)
+    names = [argument.partition("=")[0] for argument in given if argument.startswith("--")]
+    if twice := [name for name in names if names.count(name) > 1]:  # of which the parser takes the last
+        raise InputError(f"{twice[0]}: is given twice: expected once, with all of its values behind it")
+    return command
+
+
+def _for_tyro(kind: type, name: str, is_chosen: bool) -> Any:
+    """The command with the first line of its docstring for the list, or all of it for its own page."""
+    text = inspect.cleandoc(kind.__doc__ or "")
+    return Annotated[kind, tyro.conf.subcommand(name, description=text if is_chosen else text.splitlines()[0])]
+
+
+def _run(command: Any) -> int:
+    keep_compiled()
+    full_precision()
+    command.prepare()
+    name = next(name for name, kind in COMMANDS.items() if isinstance(command, kind))
+    return import_module(f"foveate.cli.run.{name}").run(command)
+
+
+def _failure(error: BaseException, command: Any) -> tuple[int, str]:
+    """Exit status of an error, and what is said of it: one line, but for a bug."""
+    if isinstance(error, InputError):
+        return WRONG_INPUT, _with_option(str(error), command)
+    if isinstance(error, OSError):
+        return WRONG_INPUT, f"{error.filename or ''}: {error.strerror or error}"
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED, "interrupted"
+    report = f"please report it, with the command and its version (foveate {__version__}); --debug shows the traceback"
+    return BUG, f"this is a bug of foveate: {type(error).__name__}: {error}\n{report}"
+
+
+def _with_option(message: str, command: Any) -> str:
+    """The message, with the argument of a Python function that it begins with as the option of that name."""
+    name = message.partition(":")[0].partition(" ")[0]
+    if command is None or name not in {field.name for field in fields(command)}:
+        return message
+    return f"--{name.replace('_', '-')}{message[len(name) :]}"
 
 
 if __name__ == "__main__":

@@ -1,8 +1,15 @@
-"""How options are shown in --help."""
+"""Options of commands: what all commands have, and how an option is shown in --help."""
 
 from typing import Any
 
 import tyro
+
+
+class Command:
+    """Options of a command; its work is `run` of the module of its name in `cli.run`."""
+
+    def prepare(self) -> None:
+        """Set what JAX must know before it makes its first array: called before the module of `run` is imported."""
 
 
 def option(metavar: str) -> Any:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from foveate.cli.options import option
+from foveate.cli.options import Command, option
 from foveate.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ INTERVALS_WIDTH = 175
 
 
 @dataclass(kw_only=True)
-class Reproduce:
+class Reproduce(Command):
     """Reproduce a comparison: every learner, every method, the same scenes; tables and figures.
 
     The paper's: learners with three seeds, planners, a policy refined by a planner, heuristics, and the omniscient

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from foveate.deploy import kalman
 from foveate.deploy.belief import Belief, observation
 from foveate.errors import InputError
-from foveate.models.gate import GATE, RESTART_AFTER, gate_limit
+from foveate.models.gate import RESTART_AFTER, gate_limit
 from foveate.models.problem import Problem
+from foveate.names import GATE
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Observation
 

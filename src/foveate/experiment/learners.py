@@ -3,22 +3,24 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from foveate.io.validate import not_negative, positive, require
+from foveate.io.validate import MOST_THINGS, not_negative, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
+from foveate.names import Objective, ProtocolName
 from foveate.simulation.records import Backpropagation, Protocol
-
-Objective = Literal["terminal", "mean", "seen"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationSettings:
     """Validation of a policy in training: on `held_out` scenes that never train it; the best by `select` is kept."""
 
-    select: Literal["surrogate", "true"] = "surrogate"
+    select: ProtocolName = "surrogate"
     held_out: int = 240
 
     def __post_init__(self) -> None:
         require(self.held_out >= 1, "held_out", self.held_out, "expected >= 1")
+        for name in ("held_out", "episodes", "environments", "rollout_steps", "batch", "segment", "window"):
+            size = getattr(self, name, None)  # each learner has some of them
+            require(size is None or size <= MOST_THINGS, name, size, f"expected <= {MOST_THINGS}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +161,8 @@ class ActorCriticSettings(ValidationSettings):
 
     RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
     algorithm: Literal["actor-critic"]
-    protocols: tuple[Literal["surrogate", "true"], ...] = ("true",)
-    select: Literal["surrogate", "true"] = "true"
+    protocols: tuple[ProtocolName, ...] = ("true",)
+    select: ProtocolName = "true"
     objective: Objective = "terminal"
     """The return of an episode."""
     epochs: int = 500

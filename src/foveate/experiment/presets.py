@@ -1,5 +1,6 @@
 """Preset experiments and learners, and how to adapt them."""
 
+import math
 from dataclasses import replace
 
 from foveate.errors import InputError
@@ -134,3 +135,24 @@ def adjusted(
         if name not in budgets:
             raise InputError(f"{name} {value}: this algorithm does not count them: expected {' or '.join(budgets)}")
     return replace(experiment, training=replace(experiment.training, **changes))
+
+
+def for_long_horizons(experiment: Experiment, remat: bool = False, window: int | None = None) -> Experiment:
+    """The experiment with less memory, or a bounded gradient, for episodes of many steps.
+
+    Args:
+        experiment: trained by the policy gradient; raises InputError for another learner.
+        remat: remember few states of an episode and run what lies between again (the same gradient).
+        window: steps after which the gradient is cut off (another gradient); None keeps it whole.
+    """
+    if not remat and window is None:
+        return experiment
+    training, scenes = experiment.training, experiment.scenario.scenes
+    if not isinstance(training, TrainingSettings):
+        raise InputError("remat, window: expected a training by the policy gradient")
+    if window is not None:
+        training = replace(training, window=window)
+    if remat:
+        # As many segments as steps in each: their sum, the states that are remembered, is smallest at the square root.
+        training = replace(training, segment=math.isqrt(scenes.horizon(scenes.targets_max) - 1) + 1)
+    return replace(experiment, training=training)

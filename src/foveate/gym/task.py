@@ -14,10 +14,8 @@ from gymnasium import spaces
 from jaxtyping import Key
 
 from foveate.errors import InputError
-from foveate.experiment.experiment import Experiment
-from foveate.experiment.presets import PRESETS
-from foveate.experiment.run_folder import CONFIG
-from foveate.io.toml import load_toml
+from foveate.experiment.resolve import experiment_from
+from foveate.names import ProtocolName
 from foveate.policies.inputs import Features, Frame, Scale, masked_features
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.batch import Batch, Programs
@@ -27,21 +25,6 @@ from foveate.types import Scalar
 
 BOUND = np.finfo(np.float32).max
 """Bound of observed numbers without one: checkers of environments complain of infinite bounds."""
-
-
-def scenario_of(scenario: Scenario | str | Path) -> Scenario:
-    """A scenario as it is, that of a preset, or that of a TOML file or a run folder. Raises ValueError for others."""
-    if isinstance(scenario, Scenario):
-        return scenario
-    if str(scenario) in PRESETS:
-        return PRESETS[str(scenario)].scenario
-    path = Path(scenario)
-    if path.is_dir():
-        path = path / CONFIG
-    if not path.exists():
-        known = ", ".join(PRESETS)
-        raise InputError(f"scenario = {str(scenario)!r}: expected a preset ({known}), a TOML file or a run folder")
-    return load_toml(Experiment, path).scenario
 
 
 @dataclass(frozen=True)
@@ -57,7 +40,7 @@ class TaskSettings:
 
     scenario: Scenario | str | Path = "paper"
     _: KW_ONLY
-    protocol: Literal["true", "surrogate"] = "true"
+    protocol: ProtocolName = "true"
     noise: bool = True
     horizon: Literal["truncated", "terminated"] = "truncated"
     observation: Literal["dict", "flat"] = "dict"
@@ -98,7 +81,7 @@ class Task:
     """A batch of `count` environments and their spaces; with `autoreset` the next episode begins by itself."""
 
     def __init__(self, settings: TaskSettings, count: int, autoreset: bool) -> None:
-        scenario = scenario_of(settings.scenario)
+        scenario = experiment_from(settings.scenario).scenario
         if settings.frame == "body" and not scenario.problem().motion.begins_with_position:
             raise InputError("frame = 'body': expected targets whose state begins with the position: take 'world'")
         length_m = float(scenario.view.depth_m) if settings.length_m is None else settings.length_m

@@ -91,7 +91,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
         values[name] = None
     try:
         return cls(**values)
-    except ValueError as error:
+    except InputError as error:
         raise at.error(str(error)) from error
 
 

@@ -11,6 +11,10 @@ SMALLEST, LARGEST = 1e-18, 1e12
 """Sizes of numbers whose squares float32 still represents."""
 
 
+MOST_THINGS = 1_000_000
+"""Most episodes, starts or iterations that can be asked for: all are held in memory at once, and counted in int32."""
+
+
 Matrix = tuple[tuple[float, ...], ...]
 
 
@@ -36,6 +40,14 @@ def seed_number(seed: int, name: str) -> None:
     """Raise InputError unless the seed is in 0 .. 2^32 - 1."""
     if not 0 <= seed < 2**32:
         raise InputError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
+
+
+def check_count(value: int | None, name: str) -> None:
+    """Raise InputError for a number of things that is given, and is not from 1 to MOST_THINGS."""
+    if value is not None and value < 1:
+        raise InputError(f"{name} {value}: expected >= 1")
+    if value is not None and value > MOST_THINGS:
+        raise InputError(f"{name} {value}: expected <= {MOST_THINGS}")
 
 
 def representable(settings: Any, path: str = "", least: float = SMALLEST) -> None:

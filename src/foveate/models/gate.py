@@ -12,10 +12,6 @@ from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.belief import Belief
 
-GATE = 0.9999
-"""Rejects one correct measurement in ten thousand."""
-
-
 RESTART_AFTER = 5
 """After this many rejections in a row the target has really jumped: the belief restarts from the last measurement."""
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
+from foveate.names import HEURISTICS
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point, Scalar
 
@@ -134,7 +135,7 @@ class Lawnmower(Steering):
         return corners[index], jnp.array(True), (corners, index)
 
 
-HEURISTICS: dict[str, Callable[[Problem, float, Float[Array, "2 d"] | None], Policy]] = {
+MAKERS: dict[str, Callable[[Problem, float, Float[Array, "2 d"] | None], Policy]] = {
     "random": lambda problem, depth_m, box_world: Random(problem),
     "still": lambda problem, depth_m, box_world: Still(problem),
     # Half the depth keeps a target in the middle of the view, whichever way it moves.
@@ -157,6 +158,6 @@ def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Arra
     Raises:
         InputError: There is no such heuristic.
     """
-    if name not in HEURISTICS:
+    if name not in MAKERS:
         raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
-    return HEURISTICS[name](problem, depth_m, box_world)
+    return MAKERS[name](problem, depth_m, box_world)

@@ -1,12 +1,12 @@
 """Fit an experiment to a recording: a scenario with its targets, for the user's robot, and a policy to train."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from foveate.experiment.experiment import POINTER_LENGTH_DEPTHS, Experiment
 from foveate.experiment.learners import ActorCriticSettings
+from foveate.names import Goal
 from foveate.policies.pointer import PointerSettings
 from foveate.recordings.motion import MotionStatistics
 from foveate.scenario.agent import DifferentialDrive, Quadrotor
@@ -31,9 +31,7 @@ class Robot:
     std_m: float
 
 
-def fit_experiment(
-    statistics: MotionStatistics, robot: Robot, goal: Literal["seen", "information"] = "seen"
-) -> Experiment:
+def fit_experiment(statistics: MotionStatistics, robot: Robot, goal: Goal = "seen") -> Experiment:
     """Make an experiment whose targets appear and move as in a recording, with a policy to train by actor-critic.
 
     `goal`: keep targets in view for as long as possible ("seen"), or estimate all of them well ("information": the

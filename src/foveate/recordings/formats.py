@@ -90,7 +90,7 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
                 points.extend(point)
                 owners.append(owner)
             line = reader.line_num + 1
-    except (ValueError, csv.Error) as error:
+    except (InputError, csv.Error) as error:
         expected = "; every row must be plain comma-separated text" if isinstance(error, csv.Error) else ""
         raise InputError(f"{path}: line {line}: {error}{expected}") from None
     if not times:

@@ -23,8 +23,9 @@ from foveate.evaluation.metrics import (
 from foveate.experiment.experiment import Experiment
 from foveate.io.provenance import provenance
 from foveate.io.toml import digest
-from foveate.models.gate import GATE, gate_limit
+from foveate.models.gate import gate_limit
 from foveate.models.problem import Problem
+from foveate.names import GATE
 from foveate.recordings.recording import Recording, Slots, resample
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import first_error

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.io.files import content_digest, read_document, write_document
 from foveate.io.validate import not_negative, require
+from foveate.names import InitialError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +51,7 @@ class SceneSettings:
     """Largest change of the drift at a step, on each axis."""
     steps_per_target: int = 3
     steps: int | None = None
-    initial_error: Literal["paper", "consistent"] = "paper"
+    initial_error: InitialError = "paper"
     """How far first means are from the truth."""
 
     def __post_init__(self) -> None:
@@ -167,7 +168,7 @@ def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene
     agent = _row(row["agent"], f"{where}: agent", None)
     try:
         space.from_numbers(agent)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{where}: agent = {list(agent)}: {error}") from None
     targets = _rows(row["targets"], f"{where}: targets", space.dimension)
     drift = ((0.0,) * space.dimension,) * len(targets)

@@ -17,8 +17,9 @@ from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import planner, planner_rows
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPO, PRESETS, adjusted
+from foveate.names import HEURISTICS
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
-from foveate.policies.heuristics import HEURISTICS, heuristic
+from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
 
 

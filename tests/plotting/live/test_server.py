@@ -176,7 +176,7 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
     assert "ends in .html" in failure(capsys, *few, "--record", tmp_path / "page.htm")
     assert "expected one of them" in failure(capsys, *few, "--recording", "x.csv")
     assert f"no such scene in {scenes}: known are a" in failure(capsys, *few, "--scene", "nowhere")
-    assert "--method best" in failure(capsys, *few, "--method", "best")
+    assert "--method 'best'" in failure(capsys, *few, "--method", "best")
     monkeypatch.setitem(sys.modules, "viser", None)
     assert "pip install 'foveate[view]'" in failure(capsys, *few)
     assert "pip install 'foveate[view]'" in failure(capsys, *few, "--method", "still", "--record", page)

@@ -1,0 +1,29 @@
+"""Work of `foveate evaluate`."""
+
+from foveate import api
+from foveate.cli.common import check_output, print_table
+from foveate.cli.evaluate import Evaluate
+from foveate.scenario.scenes import write_scenes
+
+
+def run(options: Evaluate) -> int:
+    """Evaluate, print the summary, write the files."""
+    for path in (options.json, options.write_scenes):
+        check_output(path, options.scenes)
+    evaluation = api.evaluate(
+        options.run,
+        options.scenes,
+        method=options.method,
+        protocol=options.protocol,
+        episodes=options.episodes,
+        seed=options.seed,
+        scene_seed=options.scene_seed,
+        initial_error=options.initial_error,
+        normalised=options.normalised,
+    )
+    print_table(evaluation.table.title, evaluation.table.header, evaluation.table.rows)
+    if options.json is not None:
+        evaluation.to_json(options.json)
+    if options.write_scenes is not None:
+        write_scenes(options.write_scenes, evaluation.scenes)
+    return 0

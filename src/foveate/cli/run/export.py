@@ -1,0 +1,25 @@
+"""Work of `foveate export`."""
+
+from foveate.cli.common import check_output
+from foveate.cli.export import Export
+from foveate.deploy.onnx.export import export, inputs_of
+from foveate.errors import InputError
+from foveate.experiment.resolve import load
+
+
+def run(options: Export) -> int:
+    """Load, translate, write, and print the inputs and the output."""
+    if options.out.suffix.lower() != ".onnx":
+        raise InputError(f"{options.out}: expected a name that ends in .onnx")
+    check_output(options.out)
+    experiment, policy, _ = load(options.run)
+    export(experiment, policy, options.out, options.opset)
+    problem = experiment.scenario.problem()
+    inputs = ", ".join(f"{each.name} {_shape(each.shape)}" for each in inputs_of(policy, problem))
+    axes = ", ".join(problem.agent.space.axes[axis] for axis in problem.agent.axes)
+    print(f"{options.out}: {inputs} -> control {_shape(('b', len(problem.agent.axes)))} = {axes} [m/s, rad/s]")
+    return 0
+
+
+def _shape(shape: tuple[str | int, ...]) -> str:
+    return f"({', '.join(map(str, shape))})"

@@ -1,0 +1,32 @@
+"""Work of `foveate plan`."""
+
+from foveate import api
+from foveate.cli.common import check_output, print_table
+from foveate.cli.plan import Plan
+from foveate.errors import InputError
+
+
+def run(options: Plan) -> int:
+    """Plan, print the summary, write the file."""
+    check_output(options.json, options.scenes)
+    if sum(world is not None for world in (options.run, options.config, options.preset)) > 1:
+        raise InputError("--run, --config and --preset: each is a world to plan in; give one of them")
+    evaluation = api.plan(
+        options.scenes,
+        world=options.config or options.preset or "paper",
+        run=options.run,
+        refine=options.refine,
+        omniscient=options.omniscient,
+        open_loop=options.open_loop,
+        starts=options.starts,
+        iterations=options.iterations,
+        window=options.window,
+        protocol=options.protocol,
+        episodes=options.episodes,
+        seed=options.seed,
+        scene_seed=options.scene_seed,
+    )
+    print_table(evaluation.table.title, evaluation.table.header, evaluation.table.rows)
+    if options.json is not None:
+        evaluation.to_json(options.json)
+    return 0

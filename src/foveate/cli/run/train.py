@@ -1,0 +1,82 @@
+"""Work of `foveate train`."""
+
+import os
+import sys
+from pathlib import Path
+
+from foveate.cli.train import Train
+from foveate.errors import InputError
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import PPOSettings, TrainingSettings
+from foveate.experiment.presets import adjusted, for_long_horizons
+from foveate.experiment.resolve import experiment_from
+from foveate.experiment.run_folder import BEST, CONFIG, Outcome
+from foveate.learning.devices import ProcessLost, folder_of_this_process
+from foveate.learning.run_files import stored_run
+from foveate.learning.train import train, watched
+
+
+def run(options: Train) -> int:
+    """Train, and print how it went."""
+    try:
+        experiment, seed = _resumed(options) if options.resume is not None else (_begun(options), options.seed)
+        if options.coordinator is not None and not isinstance(experiment.training, TrainingSettings):
+            raise InputError("--coordinator: expected a training by the policy gradient")
+        outcome = _train(experiment, options.folder, seed, options.resume is not None)
+        return _report(outcome, options.folder)
+    except ProcessLost as error:
+        how = f"its last check is kept: go on with  foveate train --resume {options.folder}"
+        print(f"foveate: {error}; {how}", file=sys.stderr, flush=True)
+        # Not by sys.exit, which would wait for the lost process.
+        os._exit(1)
+
+
+def _begun(options: Train) -> Experiment:
+    """The experiment that the options ask for."""
+    if options.preset is not None and options.config is not None:
+        raise InputError("--preset and --config: each is a whole experiment: give one of them")
+    experiment = experiment_from(options.config or options.preset or "paper")
+    experiment = adjusted(experiment, options.algorithm, options.epochs, options.episodes, options.steps)
+    return for_long_horizons(experiment, options.remat, options.window)
+
+
+def _resumed(options: Train) -> tuple[Experiment, int]:
+    """Experiment and seed of the run to resume. Raises InputError for options that would change them."""
+    for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out", "window", "remat"):
+        if getattr(options, name) not in (None, False):
+            raise InputError(f"--{name} and --resume: a run goes on with the settings it began with")
+    if options.seed != 0:
+        raise InputError("--seed and --resume: a run goes on with the seed it began with")
+    return stored_run(options.folder)
+
+
+def _train(experiment: Experiment, out: Path, seed: int, resume: bool) -> Outcome:
+    """Train, and print how to go on where it is interrupted or fails."""
+    try:
+        with folder_of_this_process(out, resume) as folder, watched(experiment, str(out)) as report:
+            return train(experiment, folder, seed, resume, report)
+    except (KeyboardInterrupt, OSError) as error:
+        by_hand = isinstance(error, KeyboardInterrupt)
+        if by_hand or (out / CONFIG).exists():
+            how = _kept(out, isinstance(experiment.training, PPOSettings))
+            print(f"{'interrupted' if by_hand else 'failed'}: {how}", file=sys.stderr)
+        raise
+
+
+def _kept(out: Path, by_ppo: bool) -> str:
+    """What there is of a training that did not come to its end."""
+    if by_ppo:
+        return "its best so far is kept" if (out / BEST).exists() else "there is no policy of it yet"
+    if not (out / CONFIG).exists():
+        return "nothing was trained yet"
+    return f"its last check is kept: go on with  foveate train --resume {out}"
+
+
+def _report(outcome: Outcome, out: Path) -> int:
+    best = f"best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
+    print(f"{out}: {best}")
+    if outcome.rollbacks:
+        print(f"{out}: collapsed and went back to its best {outcome.rollbacks} times (metrics.jsonl says when)")
+    if outcome.stopped:
+        print(f"{out}: stopped early: {outcome.stopped}", file=sys.stderr)
+    return 1 if outcome.stopped else 0

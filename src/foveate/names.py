@@ -1,0 +1,38 @@
+"""Names that users write: of methods, learners, presets, protocols. Without imports of foveate, so that help is fast.
+
+Each list is written here alone; `tests/test_names.py` holds that the tables of what they stand for have these keys.
+"""
+
+from typing import Literal, get_args
+
+Heuristic = Literal["random", "still", "nearest", "uncertain", "lawnmower"]
+"""A policy without training."""
+
+Method = Literal["policy", Heuristic]
+"""The trained policy, or a heuristic."""
+
+Learner = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
+"""A training algorithm with its settings."""
+
+Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
+"""An experiment of the package, which also ships its trained policy."""
+
+ProtocolName = Literal["surrogate", "true"]
+"""How information is counted: by the paper's soft view, or by real measurements."""
+
+Objective = Literal["terminal", "mean", "seen"]
+"""Return of the actor-critic: score at the horizon, its mean over the steps, or share of time in view."""
+
+Goal = Literal["seen", "information"]
+"""Aim of a fitted experiment: targets in view, or all of them well known."""
+
+InitialError = Literal["paper", "consistent"]
+"""Error of the first means: that of a measurement, or as large as the first belief claims."""
+
+HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
+METHODS: tuple[Method, ...] = get_args(Method)
+LEARNERS: tuple[Learner, ...] = get_args(Learner)
+PRESETS: tuple[Preset, ...] = get_args(Preset)
+
+GATE = 0.9999
+"""Default probability of the chi-square gate: it rejects one honest measurement in ten thousand."""

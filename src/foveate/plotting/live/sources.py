@@ -1,0 +1,69 @@
+"""Sources of the live view: a policy and the heuristics in the scenes of an evaluation, or in a recording."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.errors import InputError
+from foveate.evaluation.evaluate import prepare
+from foveate.experiment.resolve import Subject, methods_of, scenes_of
+from foveate.io.records import suggestion
+from foveate.names import METHODS
+from foveate.plotting.episode_data import EpisodeData, suite_data
+from foveate.plotting.live.player import EpisodeSource
+from foveate.plotting.replay import replay_data
+from foveate.recordings.motion import default_max_gap_s
+from foveate.recordings.plausibility import warnings_for
+from foveate.recordings.recording import Recording
+from foveate.recordings.replay import default_agent_start, prepare_replay, replay
+from foveate.scenario.scenes import Scene
+
+
+def methods_from(first: str | None) -> tuple[str, ...]:
+    """All methods, the chosen one first."""
+    if first == "all":
+        raise InputError(f"method all: expected one of {', '.join(METHODS)}, to begin with")
+    return METHODS if first is None else tuple(dict.fromkeys((*methods_of(first), *METHODS)))
+
+
+def simulated(
+    subject: Subject,
+    scenes: str | Path | Sequence[Scene] | None,
+    first: str | None,
+    methods: Sequence[str],
+    protocol: str,
+    seed: int,
+    scene_seed: int,
+) -> EpisodeSource:
+    """Episodes of scenes, of which `first` is shown first: with the noise that an evaluation has from `seed`."""
+    name, known = scenes_of(scenes, scene_seed, subject.experiment)
+    by_id = {scene.id: scene for scene in known}
+    if first is not None and first not in by_id:
+        raise InputError(f"scene {first}: no such scene in {name}: {suggestion(first, by_id)}")
+    order = by_id if first is None else dict.fromkeys((first, *by_id))
+    problem, settings = subject.experiment.scenario.problem(), subject.experiment.scenario.scenes
+
+    def make(scene: str, method: str) -> EpisodeData:
+        suite = prepare(problem, settings, [by_id[scene]], seed)
+        return suite_data(suite, subject.policy(method), protocol, method)[0]
+
+    return EpisodeSource(scenes=tuple(order), methods=tuple(methods), episode=make)
+
+
+def recorded(
+    subject: Subject, recording: Recording, methods: Sequence[str], max_gap: float | None, seed: int
+) -> tuple[EpisodeSource, list[str]]:
+    """Drives through a recording from its middle, and lines to read before trusting them."""
+    name, scenario = Path(recording.name).name, subject.experiment.scenario
+    gap_s = default_max_gap_s(recording) if max_gap is None else max_gap
+    box_world = jnp.asarray(np.stack(recording.extent), float)
+    ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario), gap_s, seed)
+
+    def make(scene: str, method: str) -> EpisodeData:
+        _, trace = replay(ready, method, subject.policy(method, box_world))
+        return replay_data(ready, trace, f"{method} on {scene}")
+
+    source = EpisodeSource(scenes=(name,), methods=tuple(methods), episode=make)
+    return source, warnings_for(scenario, recording, ready.slots, gap_s)

@@ -1,0 +1,26 @@
+"""Pictures of methods on a recording."""
+
+from pathlib import Path
+
+from foveate.plotting.animation import animate
+from foveate.plotting.episode_data import EpisodeData, episode_data
+from foveate.plotting.figures import replay_figure
+from foveate.recordings.compare import Comparison
+from foveate.recordings.replay import Replay
+from foveate.simulation.records import Trace
+
+
+def replay_data(ready: Replay, trace: Trace, title: str) -> EpisodeData:
+    """One method on a recording, to be drawn."""
+    steps, columns = trace.visible.shape
+    return episode_data(ready.problem, trace, ready.truth, steps, columns, title)
+
+
+def draw_comparison(comparison: Comparison, folder: Path) -> str:
+    """Write replay.png, of every method, and replay.gif, of the first: returns its name."""
+    name_of = comparison.settings.recording
+    data = {name: replay_data(*run, f"{name} on {name_of}") for name, run in comparison.traces.items()}
+    replay_figure(data, folder / "replay.png")
+    first = next(iter(data))
+    animate(data[first], folder / "replay.gif")
+    return first
