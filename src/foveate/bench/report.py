@@ -1,5 +1,6 @@
 """The report of the benchmarks: metrics with their ratios to the machine's own speed, and a comparison with an earlier
-one."""
+one.
+"""
 
 import os
 import platform

@@ -10,7 +10,8 @@ from foveate.errors import InputError
 
 def keep_compiled() -> None:
     """Keep compiled programs in the user's cache folder (foveate/jax there; safe to delete), so that only the first
-    run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place."""
+    run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place.
+    """
     import jax
 
     from foveate.io.files import cache_folder
@@ -22,7 +23,8 @@ def keep_compiled() -> None:
 
 def full_precision() -> None:
     """Matrix products in full float32, where accelerators would round factors to 10 bits; unless
-    JAX_DEFAULT_MATMUL_PRECISION asks for something else."""
+    JAX_DEFAULT_MATMUL_PRECISION asks for something else.
+    """
     import jax
 
     if not os.environ.get("JAX_DEFAULT_MATMUL_PRECISION"):
@@ -31,7 +33,8 @@ def full_precision() -> None:
 
 def compile_fast() -> None:
     """Let XLA compile in a fifth less time, for programs that wait for that more than they run. Call it before
-    anything of foveate that makes arrays is imported; does nothing where XLA_FLAGS is set, or a JAX may not know it."""
+    anything of foveate that makes arrays is imported; does nothing where XLA_FLAGS is set, or a JAX may not know it.
+    """
     from importlib.metadata import version
 
     if version("jax").startswith("0.10."):

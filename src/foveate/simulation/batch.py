@@ -80,7 +80,8 @@ class Batch:
         targets: Int[np.ndarray, " b"] | None = None,
     ) -> tuple[Any, np.ndarray]:
         """Fresh episodes, from their keys, in those that are `over` (None: in all), with so many `targets` where that
-        is > 0: what all see, and their scores."""
+        is > 0: what all see, and their scores.
+        """
         over = np.ones(self.count, bool) if over is None else over
         targets = np.zeros(self.count, np.int32) if targets is None else targets
         moments = self.moments
