@@ -67,13 +67,13 @@ coverage: test
 	@$(BIN)/python .ci/coverage.py
 
 fuzz: $(VENV)/.stamp-dev
-	@$(BIN)/python -W ignore tests/endurance/fuzz.py $(ENDURANCE_ARGS)
+	@PYTHONPATH=tests $(BIN)/python -W ignore -m endurance.fuzz $(ENDURANCE_ARGS)
 
 soak: $(VENV)/.stamp-dev
-	@$(BIN)/python tests/endurance/soak.py $(ENDURANCE_ARGS)
+	@PYTHONPATH=tests $(BIN)/python -m endurance.soak $(ENDURANCE_ARGS)
 
 kill: $(VENV)/.stamp-dev
-	@$(BIN)/python tests/endurance/kill.py $(ENDURANCE_ARGS)
+	@PYTHONPATH=tests $(BIN)/python -m endurance.kill $(ENDURANCE_ARGS)
 
 # In an environment of its own: what audits is no part of what is audited.
 audit: $(VENV)/.stamp-audit

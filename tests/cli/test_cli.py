@@ -8,31 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.commands import check_contract, failure
 
 import foveate
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "recordings.md"
-CONTRACT = ROOT.parent / "shared" / "tools" / "contract.py"
 CSV = "time_s,track_id,x_m,y_m\n"
-
-
-def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """The one line that a command with wrong input prints."""
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    line = captured.err.strip()
-    assert line.startswith("foveate: ")
-    assert "\n" not in line
-    return line
-
-
-def check_contract(kind: str, path: Path) -> None:
-    if not CONTRACT.exists():
-        pytest.skip("the contract checker lies beside the repository, and is not here")
-    done = subprocess.run([sys.executable, str(CONTRACT), kind, str(path)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite and a training that take seconds."""
+"""`foveate reproduce` and `evaluate --normalised_score` as a user meets them, on a suite that takes seconds."""
 
 import json
 import math
@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli.test_cli import check_contract, failure
+from helpers.commands import check_contract, failure
 
 from foveate.cli.main import main
 from foveate.evaluation import bounds as normalised_score

@@ -27,6 +27,7 @@ import numpy as np
 
 import foveate
 from foveate.cli.main import COMMANDS, main
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.io.toml import dumps_toml, load_toml
@@ -79,15 +80,10 @@ NUMBERS = (
 SHARES = (0.2, 0.03, 0.07, 0.07, 0.08, 0.05, 0.05, 0.05, 0.05, 0.35)
 """Of the kinds of mutation: gentle ones more often, for what is wrong on the surface is seen there."""
 HEAVY = (
-    *(
-        "progress.train_watched",
-        "api.evaluate",
-        "planned.planner_rows",
-        "yardstick.omniscient_rows",
-        "evaluation.prepare",
-    ),
-    *("replay.prepare_replay", "reproduction.reproduce", "view.serve", "view.record", "benchmarks.measurements"),
-    *("timing.measure_references", "export.export"),
+    *("api.evaluate", "api.train", "learning.train.train_watched", "learning.train.train", "study.run.reproduce"),
+    *("evaluation.evaluate.prepare", "evaluation.planners.planner_rows", "evaluation.bounds.omniscient_rows"),
+    *("recordings.replay.prepare_replay", "plotting.live.server.serve", "plotting.live.server.record"),
+    *("bench.workloads.measurements", "bench.timing.measure_references", "deploy.onnx.export.export"),
 )
 """What a command does once its arguments and files are read: not done here."""
 ODD = (
@@ -198,13 +194,17 @@ def arguments(rng: np.random.Generator) -> list[str]:
 @contextlib.contextmanager
 def light() -> Iterator[None]:
     """Commands that end where their work would begin."""
-    # Whatever is imported for the first time while a patch holds would keep what it got to see.
+    # A module that is first imported while a patch holds would keep the patched function.
     for module in pkgutil.walk_packages(foveate.__path__, "foveate."):
         with contextlib.suppress(ImportError):  # an extra that is not installed
             importlib.import_module(module.name)
+    heavy = [pkgutil.resolve_name(f"foveate.{name}") for name in HEAVY]
+    modules = [module for name, module in sys.modules.items() if name.partition(".")[0] == "foveate"]
     with contextlib.ExitStack() as stack:
-        for place in HEAVY:
-            stack.enter_context(mock.patch(f"foveate.{place}", side_effect=ValueError("its work would begin here")))
+        for module, name, value in [(m, name, value) for m in modules for name, value in vars(m).items()]:
+            if any(value is function for function in heavy):
+                started = InputError("its work would begin here")
+                stack.enter_context(mock.patch.object(module, name, side_effect=started))
         yield
 
 
@@ -230,10 +230,9 @@ def read(reader: Callable[[Path], object], path: Path) -> str:
     """How a reader takes a file. Raises AssertionError where its rejection is not one line that names the file."""
     try:
         reader(path)
-    except ValueError as error:
-        said, kind = str(error), type(error)
-        fine = kind is ValueError and len(said.splitlines()) == 1 and str(path) in said
-        require(fine, f"not one line that names the file: {kind.__name__}: {said}")
+    except InputError as error:
+        said = str(error)
+        require(len(said.splitlines()) == 1 and str(path) in said, f"not one line that names the file: {said}")
         return "rejected"
     return "taken"
 

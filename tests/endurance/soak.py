@@ -142,14 +142,15 @@ def faults(found: Soaked) -> list[str]:
 
 def tabs(count: int) -> str:
     """Open and close so many tabs on a live view; the view goes on. Says what happened."""
-    sys.path.append(str(Path(__file__).parents[1]))
-    from test_view import CHROMIUM, Browser, made_up, wait_for
+    from helpers.browser import CHROMIUM, Browser, wait_for
+    from helpers.episode_data import late_sightings
 
     from foveate.plotting.live import server as view
 
     if CHROMIUM is None:
         return "no chromium here: the live view was not looked at"
-    programme = view.Programme(scenes=("one",), methods=("still",), film=lambda scene, method: made_up(steps=400, n=4))
+    film = late_sightings(steps=400, n=4)
+    programme = view.Programme(scenes=("one",), methods=("still",), film=lambda scene, method: film)
     with tempfile.TemporaryDirectory() as folder, view._server(0) as server:
         player = view.Player(server, programme)
         player.tick(0.0)

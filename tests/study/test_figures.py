@@ -5,9 +5,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from helpers.episode_data import random_episode
 from matplotlib.lines import Line2D
 from PIL import Image
-from plotting.test_figures import made_up
 
 from foveate.learning.loop import Validation
 from foveate.plotting import scene as drawing
@@ -86,7 +86,7 @@ def test_labels_that_would_cover_each_other_are_moved_apart():
 
 def test_both_agents_are_drawn_in_their_own_colour():
     axes = drawing.new_figure(3.0, 3.0).subplots()
-    films = (made_up(seed=1), made_up(seed=2))
+    films = (random_episode(seed=1), random_episode(seed=2))
     for one, tint in zip(films, figures_comparison.DUEL, strict=True):
         drawing.PlanarScene(axes, one, drawing.limits(films), tint=tint).show(12)
     paths = [line for line in axes.lines if isinstance(line, Line2D) and line.get_color() in figures_comparison.DUEL]
@@ -103,7 +103,7 @@ def test_figures_are_files_of_readme_width(tmp_path):
         [overall("a", 1e-3, 1.0), overall("b", 1e-2, 2.0, "someone's"), overall("o", 1.0, 3.0, "omniscient")],
         tmp_path / "pareto.png",
     )
-    duel_figure(("a", "b"), [(made_up(seed=1), made_up(seed=2))], tmp_path / "duel.png")
+    duel_figure(("a", "b"), [(random_episode(seed=1), random_episode(seed=2))], tmp_path / "duel.png")
     for path in tmp_path.iterdir():
         with Image.open(path) as picture:
             assert picture.width == 1350
