@@ -19,6 +19,8 @@ if IS_FIRST:  # workers, and processes that tests start, inherit it
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_enable_x64", True)
+# Types are mixed only where the code says so. Ranks may be: geometry broadcasts any leading axes, by its contract.
+jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_num_cpu_devices", 2)  # so that batches are shared out in this process, too
 install_import_hook("foveate", "beartype.beartype")
 

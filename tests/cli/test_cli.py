@@ -229,6 +229,7 @@ def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pyte
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.torch
 def test_ppo_trains_a_run_that_evaluates(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -119,7 +119,7 @@ def rewards(
     where that at the horizon is what counts).
     """
     scores = step_scores(visible.astype(log_det.dtype) if objective == "seen" else log_det, episode)
-    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / episode.horizon
+    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / episode.horizon.astype(scores.dtype)
     return jnp.where(jnp.arange(len(scores)) < episode.horizon, earned, 0.0)
 
 

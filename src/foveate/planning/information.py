@@ -37,7 +37,7 @@ def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: 
     """log det Y at the horizon, the mean over targets [nat], under a soft view, or, without a level, the real one."""
     log_det = final_log_det(problem, future, action, level)
     total = jnp.sum(jnp.where(future.present, log_det, 0.0))
-    return total / jnp.maximum(jnp.sum(future.present), 1)
+    return total / jnp.maximum(jnp.sum(future.present), 1).astype(total.dtype)
 
 
 def final_log_det(

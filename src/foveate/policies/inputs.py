@@ -86,7 +86,7 @@ def rich_inputs(observation: Observation, space: Space, length_m: float) -> Floa
         [
             jnp.minimum(left / HORIZON_STEPS, MOST_UNITS),
             jnp.exp(-left / LAST_STEPS),
-            jnp.sum(observation.present) / USUAL_TARGETS,
+            jnp.sum(observation.present).astype(usual.dtype) / USUAL_TARGETS,
         ]
     )
     parts = [usual, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]

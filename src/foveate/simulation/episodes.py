@@ -55,7 +55,8 @@ def draw(settings: SceneSettings, problem: Problem, uniform: Float[Array, " size
     numbers = most + 1 - settings.targets_min
     n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * numbers), numbers - 1).astype(int)
     centre = jnp.array(settings.centre_m)
-    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * n
+    half_side = jnp.array(settings.half_side_m)
+    half_side += settings.half_side_per_target_m * n.astype(half_side.dtype)
     agent_side = settings.agent_test_half_side_m if test else settings.agent_spread * half_side
     steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
     return Drawn(
@@ -166,7 +167,8 @@ def _with_birth_and_death(
     """Wrap the truth around the scene's box; a target that wraps is absent for one instant and then a new one."""
     assert episode.truth is not None, "birth and death moves the truth"
     states, motion = episode.truth.state, problem.motion
-    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * jnp.sum(episode.present)
+    half_side = jnp.array(settings.half_side_m)
+    half_side += settings.half_side_per_target_m * jnp.sum(episode.present).astype(half_side.dtype)
     low = jnp.array(settings.centre_m) - half_side
     laps = jnp.floor((motion.position(states) - low) / (2 * half_side))
     states = states - jax.vmap(jax.vmap(motion.state_at))(2 * half_side * laps)

@@ -151,7 +151,7 @@ def _gated(
     rejected = inside & ~(distance <= limit)
     restarts = rejected & (rejections + 1 >= gate.RESTART_AFTER)
     taken = (inside & ~rejected) | restarts
-    return taken, restarts, jnp.where(taken, 0, rejections + rejected), anew
+    return taken, restarts, jnp.where(taken, 0, jnp.where(rejected, rejections + 1, rejections)), anew
 
 
 def _in_view(problem: Problem, pose: Pose, positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:

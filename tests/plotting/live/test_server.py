@@ -136,7 +136,7 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     if CHROMIUM is None:
-        pytest.skip("no chromium here")
+        pytest.skip("needs Chromium")
     opened = Browser(tmp_path_factory.mktemp("chromium"))
     yield opened
     opened.close()
@@ -147,6 +147,7 @@ def pixels(picture, color):
     return int((np.abs(picture - np.array(color)).max(axis=-1) < 40).sum())
 
 
+@pytest.mark.browser
 def test_a_written_page_plays_without_a_server(browser, tmp_path):
     """Beliefs in vermillion at first, then in green; how wide each is, the page's messages say (above)."""
     view.record(late_sightings(steps=8, n=3, times_s=0.5 * np.arange(9)), tmp_path / "page.html")
@@ -163,6 +164,7 @@ def test_a_written_page_plays_without_a_server(browser, tmp_path):
     wait_for(both)  # it plays over and over
 
 
+@pytest.mark.browser
 def test_a_live_page_follows_its_panel(browser):
     """It shows the score as it accrues; a click in the page stops the clock, another chooses another method."""
     asked = []
