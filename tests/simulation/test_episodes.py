@@ -271,8 +271,9 @@ IN_SINGLE_PRECISION = """
 import json
 import jax.numpy as jnp
 from dataclasses import asdict
-from foveate.simulation.episodes import scene_episodes, table1
 from foveate.scenario.scenario import Scenario
+from foveate.simulation.episodes import scene_episodes
+from foveate.simulation.suites import table1
 scenario = Scenario()
 problem = scenario.problem()
 assert problem.tau.dtype == jnp.float32

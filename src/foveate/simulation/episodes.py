@@ -119,7 +119,7 @@ def episode_of(
     truth = None
     if with_truth:
         roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
-        pushes = noise.process @ roots[entry] * settings.process_noise
+        pushes = noise.process @ roots[entry] * float(settings.process_noise)
 
         def move(state, step):
             motion, known_input, push = step
