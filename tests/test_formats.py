@@ -53,6 +53,7 @@ def test_a_run_of_an_earlier_version(name):
     assert [check.epoch for check in read_validations(FORMATS / name / METRICS)] == [2, 4]
 
 
+@pytest.mark.slow
 def test_a_run_of_before_a_setting_was_there_goes_on_twice(tmp_path):
     """Its config.toml keeps the digest that it had, and what is saved later goes by that, too."""
     run, experiment = tmp_path / "run", RUNS["policy-gradient"]

@@ -162,6 +162,7 @@ def finished() -> ModuleType:
     return finish
 
 
+@pytest.mark.slow
 def test_the_site_builds(tmp_path: Path) -> None:
     """Strictly: dead links, anchors and cross-references of any page, or docstring, would be rejected."""
     pytest.importorskip("zensical", reason="needs the extra docs")

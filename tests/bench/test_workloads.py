@@ -35,6 +35,7 @@ def test_the_limit_counts_the_papers_network_on_real_targets_and_steps():
     assert operations == pytest.approx(60 * 6 * (99.5 * 2368 + 16.5 * 5344))
 
 
+@pytest.mark.slow
 def test_a_training_step_is_told_beside_its_limit():
     found = {metric.key: metric for metric in training_step(TINY, 60, repeats=1)}
     step, rate = found["train_epoch_s_60"].value, found["train_episodes_per_s_60"].value
@@ -58,6 +59,7 @@ def test_environments_are_stepped(monkeypatch):
     assert metric.value > 0
 
 
+@pytest.mark.slow
 def test_what_is_simulated_and_planned_is_counted(monkeypatch):
     five = replace(TINY, scenario=Scenario(scenes=SceneSettings(targets_min=5, targets_max=5, steps=2)))
     monkeypatch.setattr(benchmarks, "ENVIRONMENTS", 2)
@@ -90,6 +92,7 @@ def test_starting_is_timed_in_processes_of_its_own(monkeypatch):
     assert len(said) == 2 * (5 + 1), "no more than five, and a warm-up"
 
 
+@pytest.mark.slow
 def test_a_training_compiles_nothing_after_its_first_check(monkeypatch):
     """With a learner whose program has a size that changes, the count says so."""
     found = {metric.key: metric.value for metric in benchmarks.compiled(TINY)}

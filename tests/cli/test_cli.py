@@ -77,6 +77,7 @@ def test_run_folder_holds_what_it_promises(run: Path) -> None:
     assert check["epoch"] == 2
 
 
+@pytest.mark.slow
 def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path) -> None:
     scenes = tmp_path / "scenes.json"
     rows = [
@@ -105,6 +106,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "method"),
     [
@@ -153,6 +155,7 @@ def test_plan_refuses_what_does_not_fit(
     assert "is an input" in failure(capsys, *plan, "--json", str(scenes))
 
 
+@pytest.mark.slow
 def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "replay"
     places = {"walkers.csv": recording, "runs/walkers": run, "runs/walkers/replay": out}
@@ -193,6 +196,7 @@ def test_wrong_input_is_one_line(
     assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
 
 
+@pytest.mark.slow
 def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A recording with z, its fit, a training of one epoch, its scenes, its replay and pictures of both."""
     recording, config, run = tmp_path / "birds.csv", tmp_path / "birds.toml", tmp_path / "run"
@@ -229,6 +233,7 @@ def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pyte
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.torch
 def test_ppo_trains_a_run_that_evaluates(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -43,6 +43,7 @@ def rejected_or_taken(reader, path, text):
         require(len(str(error).splitlines()) == 1 and str(path) in str(error), repr(error))
 
 
+@pytest.mark.slow
 def test_two_thousand_inputs():
     counts, broken = fuzz(2000, 5, report=lambda line: None)
     assert broken == []
@@ -73,6 +74,7 @@ def test_configurations_of_anything(tmp_path_factory, read_by, text):
     rejected_or_taken(read_by["toml"], tmp_path_factory.getbasetemp() / "any.toml", lines)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(command=st.sampled_from([*COMMANDS]), words=st.lists(st.text(), max_size=3))
 def test_arguments_of_anything(tmp_path_factory, command, words):
@@ -114,6 +116,7 @@ LARGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LARGE)
 def test_large_files_are_done_soon(tmp_path, read_by, name):
     kind, text = LARGE[name]

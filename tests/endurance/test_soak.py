@@ -11,6 +11,7 @@ import pytest
 TESTS = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 def test_a_minute_of_the_loop():
     """In a process of its own, as `make soak` does it: here every annotation would be checked 6000 times."""
     command = [sys.executable, "-m", "endurance.soak", "--seconds", "60", "--tabs", "0", "--seed", "1"]
@@ -24,6 +25,7 @@ def test_a_minute_of_the_loop():
     assert outliers > 20
 
 
+@pytest.mark.slow
 def test_the_live_view_forgets_who_has_left(tmp_path):
     """Twenty connections as a page opens them; tabs of a real browser: `make soak`."""
     viser = pytest.importorskip("viser", reason="needs the extra view")

@@ -61,6 +61,7 @@ def test_floor_is_the_score_of_one_who_sees_nothing():
     assert normalised_score(3.3, -1.4, 8.0) == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_an_evaluation(suite, plans):
     rows = omniscient_rows(suite, "true", plans)
     assert [row.scene for row in rows] == [scene.id for scene in SCENES]

@@ -38,6 +38,7 @@ def actions(rng, *shape):
     return rng.uniform(-1, 1, (*shape, 2)).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_gymnasium_finds_nothing_wrong():
     """Warnings are errors here; `check_env` makes one with each way to render, too."""
     check_env(make())

@@ -145,6 +145,7 @@ MIXED = replace(TINY.scenario.scenes, steps=None)
 """Episodes of three and of six steps in one batch."""
 
 
+@pytest.mark.slow
 def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_end_counts_nothing():
     """The mean earned, the steps that count and the scale of advantages, from the tries one by one."""
     problem = TINY.scenario.problem()
@@ -177,6 +178,7 @@ def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_e
     assert not np.allclose(*chances), "the halves are of different episodes"
 
 
+@pytest.mark.slow
 def test_learns(tmp_path):
     """That it goes on as if undisturbed is in test_killed.py."""
     checks = []

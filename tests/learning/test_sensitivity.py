@@ -91,6 +91,7 @@ def flat(tree):
     return np.asarray(ravel_pytree(eqx.filter(tree, eqx.is_inexact_array))[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_equals_reverse_mode_and_central_differences(name):
     problem, policy, episode = made(name)
@@ -114,6 +115,7 @@ def test_equals_reverse_mode_and_central_differences(name):
         )
 
 
+@pytest.mark.slow
 def test_the_paper_s_planar_policy_through_the_lift():
     """Its gradient in the plane, by reverse mode, is Proposition 1's on the floor of space."""
     problem = Scenario().problem()

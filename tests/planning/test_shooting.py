@@ -116,6 +116,7 @@ def test_score_is_that_of_a_textbook_filter(hard):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", ["planar", "spatial"])
 def test_gradient_through_a_plan(problem):
     level, rng = Softness(1.0, 0.6), np.random.default_rng(1)
@@ -165,6 +166,7 @@ def test_score_is_that_of_the_one_simulation():
 TWO = Scene(id="two", agent=(0.0, 0.0, 0.5), targets=((4.0, 1.0), (-5.0, 2.0)), drift=((0.1, 0.0),) * 2, horizon=6)
 
 
+@pytest.mark.slow
 def test_plans_are_as_good_as_brute_force():
     """All sequences of 3 steps over a grid of 5 speeds and 7 turn rates; the ascent may not end below their best."""
     state = np.array([[[3.0, 2.5], [-1.0, -2.0]]] * 3) + 0.3 * np.arange(3)[:, None, None]
@@ -294,6 +296,7 @@ def changed_later(suite):
     return replace(suite, episodes=later, truth=later.truth)
 
 
+@pytest.mark.slow
 def test_online_planners_do_not_see_the_future():
     suite = prepare(PROBLEM, PRESETS["paper"].scenario.scenes, [TWO], seed=3)
     settings = replace(FEW, starts=3, iterations=10, keep=PAPER)
@@ -305,6 +308,7 @@ def test_online_planners_do_not_see_the_future():
     assert np.abs(here[1:] - there[1:]).max() > 1e-3, "what it sees later, it uses"
 
 
+@pytest.mark.slow
 def test_belief_about_later_inputs_is_their_mean_so_far():
     """The plan of the second step is the one for a future of the mean of two inputs."""
     observation = Observation(

@@ -78,6 +78,7 @@ def test_scenes_are_those_of_table1_and_the_same_for_every_value():
         np.testing.assert_allclose(half.drift, np.array(whole.drift) / 2, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_points_are_what_an_evaluation_says():
     def nearest(world):
         return heuristic("nearest", world.scenario.problem(), world.scenario.view.depth_m)
