@@ -10,6 +10,7 @@ import shutil
 import tempfile
 
 import jax
+import optax
 from jaxtyping import install_import_hook
 
 IS_FIRST = "JAX_COMPILATION_CACHE_DIR" not in os.environ
@@ -19,7 +20,7 @@ if IS_FIRST:  # workers, and processes that tests start, inherit it
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_enable_x64", True)
-# Types are mixed only where the code says so. Ranks may be: geometry broadcasts any leading axes, by its contract.
+# foveate mixes types only where its code says so. Ranks it may mix: geometry broadcasts any leading axes, by contract.
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_num_cpu_devices", 2)  # so that batches are shared out in this process, too
 install_import_hook("foveate", "beartype.beartype")
@@ -27,6 +28,20 @@ install_import_hook("foveate", "beartype.beartype")
 from foveate.cli.common import compile_fast  # noqa: E402
 
 compile_fast()
+
+
+def chain_mixing_types(*parts: optax.GradientTransformation) -> optax.GradientTransformation:
+    """optax.chain under JAX's usual promotion: Adam's bias correction and schedules mix floats with int32 counts."""
+    chained = chain(*parts)
+
+    def update(*arguments, **extra):
+        with jax.numpy_dtype_promotion("standard"):
+            return chained.update(*arguments, **extra)
+
+    return chained._replace(update=update)
+
+
+chain, optax.chain = optax.chain, chain_mixing_types
 
 
 def pytest_addoption(parser):

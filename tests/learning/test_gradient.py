@@ -59,6 +59,7 @@ def plain():
 SOFT = TrainingSettings().protocol
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segment", [2, 9])
 def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
     def last(w):

@@ -134,6 +134,7 @@ def test_the_paper_s_planar_policy_through_the_lift():
     np.testing.assert_allclose(flat(gradient), flat(reverse), rtol=0, atol=1e-9 * np.linalg.norm(flat(reverse)))
 
 
+@pytest.mark.slow
 def test_the_printed_form_is_partial():
     """Without the way of theta through the policy's inputs the first step is right, and only that."""
     problem, policy, episode = made("six axes, cone", steps=3)

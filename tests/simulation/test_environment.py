@@ -50,6 +50,7 @@ def played(environment: Environment, key, policy: Policy):
     return episode.horizon, trace, moment.score, jax.lax.scan(one, moment, length=len(trace.action))[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_stepped_is_rolled_out(name: str) -> None:
     """`rollout` has textbook oracles of its own: what is stepped must be what it simulates."""

@@ -153,7 +153,8 @@ def training_episode(
     uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
     if targets is not None:
         # The first number says how many targets there are: that of the middle of the share that means so many.
-        share = (targets - scenes.targets_min + 0.5) / (scenes.targets_max + 1 - scenes.targets_min)
+        place = (targets - scenes.targets_min).astype(uniform.dtype)
+        share = (place + 0.5) / (scenes.targets_max + 1 - scenes.targets_min)
         uniform = uniform.at[0].set(jnp.where(targets > 0, 2.0 * share - 1.0, uniform[0]))
     scene = draw(scenes, problem, uniform, test)
     return episode_of(
