@@ -222,8 +222,8 @@ def test_the_example_turns_a_belief_into_a_decision(trained):
     experiment = CASES["pointer"]
     arrays = {
         "pose": pose,
-        "mean": predicted,
-        "information": np.linalg.inv(spread),
+        "mean": np.asarray(predicted, float),
+        "information": np.linalg.inv(np.asarray(spread, float)),
         "present": np.ones(n, bool),
         "known_input": pushes,
         "steps_left": np.array(7),
