@@ -28,7 +28,7 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
 from foveate.policies.heuristics import heuristic
 from foveate.simulation.suites import table1
-from foveate.stonesoup.manager import BodyMovable, PolicySensorManager, ViewSensor
+from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor
 
 START = datetime.datetime(2026, 1, 1)
 STONE_SOUP = {"brute force": BruteForceSensorManager, "greedy": GreedySensorManager, "random": RandomSensorManager}
