@@ -8,10 +8,14 @@ import os
 import random
 import shutil
 import tempfile
+from pathlib import Path
 
 import jax
 import optax
+import pytest
 from jaxtyping import install_import_hook
+
+TESTS = Path(__file__).parent
 
 IS_FIRST = "JAX_COMPILATION_CACHE_DIR" not in os.environ
 if IS_FIRST:  # workers, and processes that tests start, inherit it
@@ -20,8 +24,6 @@ if IS_FIRST:  # workers, and processes that tests start, inherit it
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_enable_x64", True)
-# foveate mixes types only where its code says so. Ranks it may mix: geometry broadcasts any leading axes, by contract.
-jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_num_cpu_devices", 2)  # so that batches are shared out in this process, too
 install_import_hook("foveate", "beartype.beartype")
 
@@ -42,6 +44,25 @@ def chain_mixing_types(*parts: optax.GradientTransformation) -> optax.GradientTr
 
 
 chain, optax.chain = optax.chain, chain_mixing_types
+
+
+CORE = {
+    *("geometry", "models", "scenario", "simulation", "policies", "planning"),
+    *("experiment", "learning", "evaluation", "recordings", "plotting", "study"),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def promotion(request):
+    """foveate's core mixes types only where its code says so.
+
+    The doors (deploy, gym, bench, Stable-Baselines3 ..) do it on purpose: they hand float32 to a program that is
+    float64 here, and float32 elsewhere. Ranks may be mixed: geometry broadcasts any leading axes, by its contract.
+    """
+    folders = request.path.relative_to(TESTS).parts[:-1]
+    is_core = bool(folders) and folders[0] in CORE and "sb3" not in folders
+    with jax.numpy_dtype_promotion("strict" if is_core else "standard"):
+        yield
 
 
 def pytest_addoption(parser):
