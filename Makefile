@@ -13,24 +13,25 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test lint docs bench package coverage fuzz soak kill audit clean
+.PHONY: help demo test test-all lint docs bench package coverage fuzz soak kill audit clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make demo    install the core, then run examples/demo.py: a table on the screen, pictures in runs/demo/'
-	@echo 'make test    install the core and the test tools, then run ruff, pyright and the tests'
+	@echo 'make test    install the core and the test tools, then run ruff, pyright and the quick tests (3 minutes)'
+	@echo 'make test-all    the same with every test: also the slow ones, and those of a browser and of PyTorch'
 	@echo 'make lint    the same installation, ruff and pyright only'
 	@echo 'make docs    install what documentation is made with, then build it, with broken links refused, into site/'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
 	@echo 'make package the same installation, then wheel and sdist into dist/'
-	@echo 'make coverage  the tests in a random order, and how many lines of each file they reach'
+	@echo 'make coverage  every test in a random order, and how many lines of each file they reach'
 	@echo 'make fuzz    100,000 hostile inputs; make kill: 40 trainings killed; make soak: an hour of a robot, in its own time'
 	@echo 'make audit   look up the pinned dependencies in lists of known vulnerabilities'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
 	@echo 'PYTHON=python3.12        the Python that .venv is made from (3.11 or newer)'
-	@echo 'EXTRA=ppo                for make test: install this extra of pyproject.toml too'
-	@echo 'PYTEST_ARGS="-k arrays"  for make test: further arguments of pytest'
+	@echo 'EXTRA=ppo                for make test-all: install this extra of pyproject.toml too'
+	@echo 'PYTEST_ARGS="-k arrays"  for make test and test-all: further arguments of pytest'
 	@echo 'BENCH_ARGS=--quick       for make bench: its options'
 	@echo 'ENDURANCE_ARGS=--help    for make fuzz, kill, soak: their options'
 
@@ -38,8 +39,12 @@ demo: $(VENV)/.stamp-core
 	@echo '== demo: examples/demo.py'
 	@$(BIN)/python examples/demo.py
 
-test: $(if $(EXTRA),$(VENV)/.stamp-extra-$(EXTRA)) lint
-	@echo '== tests: pytest, two at a time'
+test: lint
+	@echo '== quick tests: pytest, two at a time'
+	@$(BIN)/python -m pytest -n 2 -m 'not (slow or browser or torch)' $(PYTEST_ARGS)
+
+test-all: $(if $(EXTRA),$(VENV)/.stamp-extra-$(EXTRA)) lint
+	@echo '== all tests: pytest, two at a time'
 	@$(BIN)/python -m pytest -n 2 $(COUNTED) $(PYTEST_ARGS)
 
 lint: $(VENV)/.stamp-dev
@@ -63,17 +68,17 @@ package: $(VENV)/.stamp-dev
 
 # In an order that is another one every time; the seed that is printed repeats it (PYTEST_ARGS="--shuffle SEED").
 coverage: COUNTED := --shuffle $(shell od -An -N2 -tu2 /dev/urandom) --cov --cov-report=json --cov-report=term:skip-covered
-coverage: test
+coverage: test-all
 	@$(BIN)/python .ci/coverage.py
 
 fuzz: $(VENV)/.stamp-dev
-	@$(BIN)/python -W ignore tests/endurance/fuzz.py $(ENDURANCE_ARGS)
+	@PYTHONPATH=tests $(BIN)/python -W ignore -m endurance.fuzz $(ENDURANCE_ARGS)
 
 soak: $(VENV)/.stamp-dev
-	@$(BIN)/python tests/endurance/soak.py $(ENDURANCE_ARGS)
+	@PYTHONPATH=tests $(BIN)/python -m endurance.soak $(ENDURANCE_ARGS)
 
 kill: $(VENV)/.stamp-dev
-	@$(BIN)/python tests/endurance/kill.py $(ENDURANCE_ARGS)
+	@PYTHONPATH=tests $(BIN)/python -m endurance.kill $(ENDURANCE_ARGS)
 
 # In an environment of its own: what audits is no part of what is audited.
 audit: $(VENV)/.stamp-audit

@@ -8,9 +8,14 @@ import os
 import random
 import shutil
 import tempfile
+from pathlib import Path
 
 import jax
+import optax
+import pytest
 from jaxtyping import install_import_hook
+
+TESTS = Path(__file__).parent
 
 IS_FIRST = "JAX_COMPILATION_CACHE_DIR" not in os.environ
 if IS_FIRST:  # workers, and processes that tests start, inherit it
@@ -25,6 +30,39 @@ install_import_hook("foveate", "beartype.beartype")
 from foveate.cli.common import compile_fast  # noqa: E402
 
 compile_fast()
+
+
+def chain_mixing_types(*parts: optax.GradientTransformation) -> optax.GradientTransformation:
+    """optax.chain under JAX's usual promotion: Adam's bias correction and schedules mix floats with int32 counts."""
+    chained = chain(*parts)
+
+    def update(*arguments, **extra):
+        with jax.numpy_dtype_promotion("standard"):
+            return chained.update(*arguments, **extra)
+
+    return chained._replace(update=update)
+
+
+chain, optax.chain = optax.chain, chain_mixing_types
+
+
+CORE = {
+    *("geometry", "models", "scenario", "simulation", "policies", "planning"),
+    *("experiment", "learning", "evaluation", "recordings", "plotting", "study"),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def promotion(request):
+    """foveate's core mixes types only where its code says so.
+
+    The doors (deploy, gym, bench, Stable-Baselines3 ..) do it on purpose: they hand float32 to a program that is
+    float64 here, and float32 elsewhere. Ranks may be mixed: geometry broadcasts any leading axes, by its contract.
+    """
+    folders = request.path.relative_to(TESTS).parts[:-1]
+    is_core = bool(folders) and folders[0] in CORE and "sb3" not in folders
+    with jax.numpy_dtype_promotion("strict" if is_core else "standard"):
+        yield
 
 
 def pytest_addoption(parser):

@@ -191,6 +191,7 @@ def trainer(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
     return asked
 
 
+@pytest.mark.slow
 def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) -> None:
     out = tmp_path / "run"
     policy = foveate.train(PLANE.scenario, like="paper", epochs=7, seed=3, out=out)

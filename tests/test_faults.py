@@ -79,6 +79,7 @@ def test_a_clock_that_jumps_ahead_is_warned_of_and_back_is_rejected(tmp_path):
         driven(recorded(tmp_path / "far.csv", [(0.0, "a", 1, 1), (1e9, "a", 1, 1)]))
 
 
+@pytest.mark.slow
 def test_targets_that_appear_and_leave_at_every_step(tmp_path):
     rows = [(0.5 * k, f"t{k}-{j}", 2.0 + j, float(j)) for k in range(60) for j in range(k % 3)]
     rows += [(0.5 * k, "always", 1.0, 1.0) for k in range(60)]
@@ -107,6 +108,7 @@ def episode_of(steps, positions, truth=None):
     )
 
 
+@pytest.mark.slow
 def test_all_targets_unseen_for_ten_thousand_steps():
     """log det falls as a random walk's does, in float32 too."""
     problem = Scenario().problem()

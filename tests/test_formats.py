@@ -1,4 +1,4 @@
-"""What an earlier version wrote is read as it was meant; what was changed since is rejected, in a line that names it."""
+"""Files of an earlier version are read as they were meant; changed ones are rejected in one line that names them."""
 
 import ast
 import json
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from formats.make import NONE, RUNS, TWO, decision
 
 from foveate.evaluation.summary import read_result
 from foveate.experiment.checkpoint import VERSION, load_run
@@ -22,7 +23,6 @@ from foveate.recordings.replay import ReplayRow
 from foveate.scenario.scenes import read_scenes
 
 FORMATS, SOURCE = Path(__file__).parent / "formats", Path(__file__).parents[1] / "src" / "foveate"
-from formats.make import NONE, RUNS, TWO, decision
 
 PAPER = PRESETS["paper"].scenario
 
@@ -53,6 +53,7 @@ def test_a_run_of_an_earlier_version(name):
     assert [check.epoch for check in read_validations(FORMATS / name / METRICS)] == [2, 4]
 
 
+@pytest.mark.slow
 def test_a_run_of_before_a_setting_was_there_goes_on_twice(tmp_path):
     """Its config.toml keeps the digest that it had, and what is saved later goes by that, too."""
     run, experiment = tmp_path / "run", RUNS["policy-gradient"]

@@ -1,6 +1,7 @@
 """The layout of the package: a folder imports only from folders before it in ORDER, and no files import in a circle.
 
-Imports inside functions and under TYPE_CHECKING count. Files and functions stay within the sizes below.
+Imports inside functions and under TYPE_CHECKING count. Files and functions stay within the sizes below. The tests
+mirror the package: tests/A/test_b.py tests the module A/b.py.
 """
 
 import ast
@@ -23,6 +24,44 @@ ORDER = [
 """Folders and root modules of the package, from the ground up, a line a storey."""
 ROOT_MODULES = 8
 FILE_LINES, FUNCTION_LINES, NESTED_FUNCTIONS = 250, 50, 2
+
+TESTS = Path(__file__).parent
+TESTED_ELSEWHERE = {
+    **dict.fromkeys(("types", "errors"), "test_api.py"),  # names without behaviour
+    # The parts of one command or one door: they are met together, through its public side.
+    **{f"cli.{name}": "cli/test_cli.py" for name in ("common", "evaluate", "export", "fit", "main", "options", "plan")},
+    **{f"cli.{name}": "cli/test_cli.py" for name in ("render", "replay", "train")},
+    "cli.view": "plotting/live/test_server.py",
+    **dict.fromkeys(("deploy.onnx.graph", "deploy.onnx.networks"), "deploy/onnx/test_export.py"),
+    **dict.fromkeys(("deploy.belief", "deploy.policy"), "test_api.py"),
+    **dict.fromkeys(("gym.render", "gym.task", "simulation.batch"), "gym/test_envs.py"),
+    "stonesoup.parts": "stonesoup/test_manager.py",
+    # What a training is made of.
+    **{f"learning.{name}": "learning/test_loop.py" for name in ("learner", "train", "tensorboard", "validation")},
+    **dict.fromkeys(("learning.objective", "learning.policy_gradient"), "learning/test_gradient.py"),
+    **dict.fromkeys(("learning.sb3.network", "learning.sb3.vec_env"), "learning/sb3/test_ppo.py"),
+    # Shapes of one protocol, tested alike.
+    **dict.fromkeys(("geometry.fov_planar", "geometry.fov_spatial"), "geometry/test_fov.py"),
+    "geometry.series": "geometry/test_lie.py",
+    **dict.fromkeys(("geometry.numpy_poses", "plotting.ellipsoids"), "plotting/test_scene_spatial.py"),
+    **dict.fromkeys(("models.problem", "simulation.records", "simulation.step"), "simulation/test_rollout.py"),
+    "models.target": "scenario/test_target.py",
+    **dict.fromkeys(("policies.inputs", "policies.layers"), "policies/test_attention.py"),
+    **dict.fromkeys(("experiment.experiment", "experiment.learners"), "experiment/test_presets.py"),
+    "experiment.run_folder": "experiment/test_checkpoint.py",
+    "experiment.resolve": "test_package.py",
+    **dict.fromkeys(("evaluation.metrics", "evaluation.report"), "evaluation/test_evaluate.py"),
+    "evaluation.planners": "planning/test_receding.py",
+    **dict.fromkeys(("io.progress", "io.provenance"), "test_api.py"),
+    **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
+    **dict.fromkeys(("recordings.formats", "recordings.motion", "recordings.fit"), "recordings/test_recording.py"),
+    **{f"plotting.{name}": "plotting/test_figures.py" for name in ("animation", "episode_data", "scene")},
+    **dict.fromkeys(("plotting.live.chart", "plotting.live.scene"), "plotting/live/test_server.py"),
+    **dict.fromkeys(("study.methods", "study.study"), "study/test_run.py"),
+    **dict.fromkeys(("study.tables", "io.tables"), "study/test_comparison.py"),
+    "study.publish": "cli/test_reproduce.py",
+}
+"""Test files, within tests, of modules that have none of their own name."""
 
 
 def modules(source: Path) -> dict[str, Path]:
@@ -107,6 +146,39 @@ def test_every_place_in_the_order_exists() -> None:
 
 def test_the_root_holds_few_modules() -> None:
     assert len([path for path in SOURCE.glob("*.py") if path.name != "__init__.py"]) <= ROOT_MODULES
+
+
+def untested(source: Path, tests: Path, elsewhere: dict[str, str]) -> list[str]:
+    """One line for every module without a test file, and for every entry of `elsewhere` that is out of date."""
+    known = {name for name in modules(source) if name.rpartition(".")[2] not in ("__init__", "__main__")}
+    own = {name: tests.joinpath(*name.split(".")[:-1], f"test_{name.split('.')[-1]}.py") for name in known}
+    found = [f"{name}: no {own[name].relative_to(tests)}" for name in known - set(elsewhere) if not own[name].exists()]
+    for name, file in elsewhere.items():
+        if name not in known:
+            found.append(f"{name} is no module")
+        elif own[name].exists():
+            found.append(f"{name} has its own test file")
+        elif not (tests / file).exists():
+            found.append(f"{name}: no {file}")
+    return sorted(found)
+
+
+def test_every_module_has_a_test_file() -> None:
+    assert untested(SOURCE, TESTS, TESTED_ELSEWHERE) == []
+
+
+def test_a_module_without_a_test_file_is_caught(tmp_path: Path) -> None:
+    source, tests = build(tmp_path / "src", {}), tmp_path / "tests"
+    (tests / "rooms").mkdir(parents=True)
+    for name in ("test_ground.py", "rooms/test_one.py", "rooms/test_two.py"):
+        (tests / name).write_text("", encoding="utf-8")
+    elsewhere = {"rooms.one": "test_ground.py", "doors.a": "test_doors.py", "attic": "test_ground.py"}
+    assert untested(source, tests, elsewhere) == [
+        "attic is no module",
+        "doors.a: no test_doors.py",
+        "doors.b: no doors/test_b.py",
+        "rooms.one has its own test file",
+    ]
 
 
 def test_files_and_functions_are_short() -> None:

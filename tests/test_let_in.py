@@ -43,6 +43,7 @@ def everything(folder):
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
 
 
+@pytest.mark.slow
 def test_commands_stay_in_their_folder_and_off_the_network(tmp_path, monkeypatch, capsys):
     """Scenes and tracks with names that would lead elsewhere, were they names of files."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -122,6 +123,7 @@ def sane(found):
     assert np.linalg.eigvalsh(Y / (root[..., None] * root[..., None, :])).min() > 0
 
 
+@pytest.mark.slow
 @settings(EXAMPLES, max_examples=6)
 @given(scale=SCALES, count=COUNTS, seed=SEEDS)
 def test_in_other_units_of_length_the_score_is_the_same_but_for_the_units(scale, count, seed):
@@ -210,6 +212,7 @@ def test_information_that_is_added_never_lowers_the_score(count, seed, more, dir
     assert float(run(problem=with_matrices(PAPER, 0.0025 * less, V, Y)).score) >= before - 1e-12
 
 
+@pytest.mark.slow
 def test_float32_is_float64_within_bounds():
     """Score within 1e-3 nat, slopes within 1e-3 of the largest, from a millimetre to 100 km; 15 episodes each."""
     exact, rounded = [], []

@@ -47,6 +47,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_wheel_is_whole_and_runs(built: Path) -> None:
     """Types, stub, trained presets and nothing else; unpacked, it decides as the source does."""
     (wheel,) = built.glob("*.whl")
@@ -80,6 +81,7 @@ def files_of_the_package() -> list[Path]:
     return [path for path in package.rglob("*") if path.name == "py.typed" or path.suffix in kinds]
 
 
+@pytest.mark.slow
 def test_the_sdist_has_what_a_build_needs(built: Path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
@@ -104,6 +106,7 @@ def test_the_trained_presets_are_small_and_of_their_presets() -> None:
     assert sizes < 1_000_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_trained_preset_scores_what_is_recorded_and_decides_as_the_simulation(preset: str) -> None:
     """Every third decision of a scene, from the beliefs before it and the known inputs, as a user would ask for it."""

@@ -145,6 +145,7 @@ def run_python(page: Path) -> dict[str, Any]:
     return names
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = ROOT / "docs" / "tutorial.md"
     fresh(reader / "trained" / "true-view", "true-view")
@@ -162,10 +163,12 @@ def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (reader / "mine.onnx").is_file()
 
 
+@pytest.mark.slow
 def test_the_page_of_the_python_functions_runs() -> None:
     assert run_python(ROOT / "docs" / "api.md")["foveate"] is foveate
 
 
+@pytest.mark.slow
 def test_the_page_on_space_runs(reader: Path) -> None:
     fresh(reader / "trained" / "quadrotor", "quadrotor")
     left = run_python(ROOT / "docs" / "space.md")
@@ -173,6 +176,7 @@ def test_the_page_on_space_runs(reader: Path) -> None:
     assert np.isfinite(left["command"]).all()
 
 
+@pytest.mark.slow
 def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_python(ROOT / "docs" / "comparison.md")
     assert "NearAndUncertain on table1" in capsys.readouterr().out

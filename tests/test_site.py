@@ -1,11 +1,12 @@
 """How the documentation is made: the generated pages, the links to code, the formulas, and what no page may have."""
 
-import importlib
-import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import ModuleType
 
+import commands_page
+import configuration_page
+import gather
 import pytest
 
 from foveate.cli.main import COMMANDS
@@ -15,18 +16,8 @@ ROOT = Path(__file__).parents[1]
 GENERATOR = ROOT / "docs" / "generator"
 
 
-def part(name: str) -> ModuleType:
-    """A module of the generator, which is a folder of scripts."""
-    if str(GENERATOR) not in sys.path:
-        sys.path.append(str(GENERATOR))
-    return importlib.import_module(name)
-
-
-configuration, commands, gather = part("configuration_page"), part("commands_page"), part("gather")
-
-
 def test_every_key_of_every_preset_stands_on_the_page_with_its_default() -> None:
-    text = configuration.page()
+    text = configuration_page.page()
     for preset in PRESETS.values():
         for name, table in (("scenario", preset.scenario), ("policy", preset.policy), ("training", preset.training)):
             assert f"## `[{name}]`" in text
@@ -39,7 +30,7 @@ def test_every_key_of_every_preset_stands_on_the_page_with_its_default() -> None
 
 
 def test_every_key_is_explained() -> None:
-    unexplained = {kind.__name__: configuration.untold(kind) for _, kind in configuration.tables()}
+    unexplained = {kind.__name__: configuration_page.untold(kind) for _, kind in configuration_page.tables()}
     assert not {name: keys for name, keys in unexplained.items() if keys}
 
 
@@ -51,7 +42,7 @@ def test_a_key_without_explanation_is_found() -> None:
         named: int = 1
         other: int = 2
 
-    assert configuration.untold(Bare) == ["other"]
+    assert configuration_page.untold(Bare) == ["other"]
 
 
 @pytest.mark.parametrize(
@@ -69,11 +60,11 @@ def test_a_key_without_explanation_is_found() -> None:
     ],
 )
 def test_units(key: str, unit: str) -> None:
-    assert configuration.unit(key) == unit
+    assert configuration_page.unit(key) == unit
 
 
 def test_every_option_of_every_command_stands_on_the_page() -> None:
-    text = commands.page()
+    text = commands_page.page()
     for name, kind in COMMANDS.items():
         assert f"## foveate {name}\n" in text
         section = text.partition(f"## foveate {name}\n")[2].partition("\n## ")[0]
@@ -166,14 +157,18 @@ def test_a_style_that_loads_from_elsewhere_is_named(tmp_path: Path) -> None:
 def finished() -> ModuleType:
     """The module that goes over the built pages."""
     pytest.importorskip("latex2mathml", reason="needs the extra docs")
-    return part("finish")
+    import finish
+
+    return finish
 
 
+@pytest.mark.slow
 def test_the_site_builds(tmp_path: Path) -> None:
     """Strictly: dead links, anchors and cross-references of any page, or docstring, would be rejected."""
     pytest.importorskip("zensical", reason="needs the extra docs")
     finished()
-    build = part("build")
+    import build
+
     nav = (GENERATOR / "mkdocs.yml").read_text(encoding="utf-8")
     found = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.md")])
     pages = [path.relative_to(ROOT).as_posix() for path in found]

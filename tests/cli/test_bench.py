@@ -1,12 +1,11 @@
 """`foveate bench`: its report, its comparison with an earlier one, and its exit status."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
 import pytest
+from helpers.commands import check_contract
 
 from foveate.bench import timing
 from foveate.bench import workloads as benchmarks
@@ -16,7 +15,6 @@ from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 BASELINE = ROOT / "benchmarks" / "baseline.json"
-CONTRACT = ROOT.parent / "shared" / "tools" / "contract.py"
 
 
 def metric(key, value, better="lower"):
@@ -83,7 +81,4 @@ def test_wrong_input_is_told_in_one_line(machine, tmp_path, capsys):
 def test_the_committed_baseline_is_a_report_that_keeps_the_contract():
     ratios = read_ratios(BASELINE)
     assert ratios["train_step_over_limit_60"] > 1
-    if not CONTRACT.exists():
-        pytest.skip("the contract checker lies beside the repository, and is not here")
-    done = subprocess.run([sys.executable, str(CONTRACT), "bench", str(BASELINE)], capture_output=True, check=False)
-    assert done.returncode == 0, done.stdout
+    check_contract("bench", BASELINE)

@@ -9,31 +9,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.commands import check_contract, failure
 
 import foveate
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "recordings.md"
-CONTRACT = ROOT.parent / "shared" / "tools" / "contract.py"
 CSV = "time_s,track_id,x_m,y_m\n"
-
-
-def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """The one line that a command with wrong input prints."""
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    line = captured.err.strip()
-    assert line.startswith("foveate: ")
-    assert "\n" not in line
-    return line
-
-
-def check_contract(kind: str, path: Path) -> None:
-    if not CONTRACT.exists():
-        pytest.skip("the contract checker lies beside the repository, and is not here")
-    done = subprocess.run([sys.executable, str(CONTRACT), kind, str(path)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +124,7 @@ def test_run_folder_holds_what_it_promises(run: Path) -> None:
     assert check["epoch"] == 2
 
 
+@pytest.mark.slow
 def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path) -> None:
     scenes = tmp_path / "scenes.json"
     rows = [
@@ -169,6 +153,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "method"),
     [
@@ -217,6 +202,7 @@ def test_plan_refuses_what_does_not_fit(
     assert "is an input" in failure(capsys, *plan, "--json", str(scenes))
 
 
+@pytest.mark.slow
 def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "replay"
     places = {"walkers.csv": recording, "runs/walkers": run, "runs/walkers/replay": out}
@@ -262,6 +248,7 @@ def test_wrong_input_is_one_line(
     assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
 
 
+@pytest.mark.slow
 def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A recording with z, its fit, a training of one epoch, its scenes, its replay and pictures of both."""
     recording, config, run = tmp_path / "birds.csv", tmp_path / "birds.toml", tmp_path / "run"
@@ -298,6 +285,8 @@ def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pyte
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
+@pytest.mark.torch
 def test_ppo_trains_a_run_that_evaluates(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli.test_cli import check_contract, failure
+from helpers.commands import check_contract, failure
 
 from foveate.cli.main import main
 from foveate.evaluation import oracle
@@ -49,6 +49,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XLA_FLAGS", "")
 
 
+@pytest.mark.slow
 def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "a" / "out"
     arguments = ["reproduce", "--quick", "--out", str(out), "--add", f"{OWN}:METHOD"]
@@ -73,6 +74,7 @@ def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFi
     check_contract("evaluate", out / "table.json")
 
 
+@pytest.mark.slow
 def test_reproduce_for_the_true_view(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,6 +177,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
     row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}

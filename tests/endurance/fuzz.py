@@ -194,13 +194,17 @@ def arguments(rng: np.random.Generator) -> list[str]:
 @contextlib.contextmanager
 def light() -> Iterator[None]:
     """Commands that end where their work would begin."""
-    # Whatever is imported for the first time while a patch holds would keep what it got to see.
+    # A module that is first imported while a patch holds would keep the patched function.
     for module in pkgutil.walk_packages(foveate.__path__, "foveate."):
         with contextlib.suppress(ImportError):  # an extra that is not installed
             importlib.import_module(module.name)
+    heavy = [pkgutil.resolve_name(f"foveate.{name}") for name in HEAVY]
+    modules = [module for name, module in sys.modules.items() if name.partition(".")[0] == "foveate"]
     with contextlib.ExitStack() as stack:
-        for place in HEAVY:
-            stack.enter_context(mock.patch(f"foveate.{place}", side_effect=InputError("its work would begin here")))
+        for module, name, value in [(m, name, value) for m in modules for name, value in vars(m).items()]:
+            if any(value is function for function in heavy):
+                started = InputError("its work would begin here")
+                stack.enter_context(mock.patch.object(module, name, side_effect=started))
         yield
 
 

@@ -142,16 +142,15 @@ def faults(found: Soaked) -> list[str]:
 
 def tabs(count: int) -> str:
     """Open and close so many tabs on a live view; the view goes on. Says what happened."""
-    sys.path.append(str(Path(__file__).parents[1]))
-    from plotting.live.test_server import CHROMIUM, Browser, made_up, wait_for
+    from helpers.browser import CHROMIUM, Browser, wait_for
+    from helpers.episode_data import late_sightings
 
     from foveate.plotting.live import server as view
 
     if CHROMIUM is None:
         return "no chromium here: the live view was not looked at"
-    source = view.EpisodeSource(
-        scenes=("one",), methods=("still",), episode=lambda scene, method: made_up(steps=400, n=4)
-    )
+    data = late_sightings(steps=400, n=4)
+    source = view.EpisodeSource(scenes=("one",), methods=("still",), episode=lambda scene, method: data)
     with tempfile.TemporaryDirectory() as folder, view._server(0) as server:
         player = view.Player(server, source)
         player.tick(0.0)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foveate.cli.main import COMMANDS
+from foveate.errors import InputError
 
 odd = st.text() | st.floats().map(str) | st.integers().map(str)
 rows = st.lists(st.tuples(odd, odd, odd, odd), max_size=6)
@@ -34,14 +35,15 @@ def read_by():
     return readers()
 
 
-def refused_or_taken(reader, path, text):
+def rejected_or_taken(reader, path, text):
     path.write_text(text, encoding="utf-8", errors="surrogatepass", newline="")
     try:
         reader(path)
-    except ValueError as error:
+    except InputError as error:
         require(len(str(error).splitlines()) == 1 and str(path) in str(error), repr(error))
 
 
+@pytest.mark.slow
 def test_two_thousand_inputs():
     counts, broken = fuzz(2000, 5, report=lambda line: None)
     assert broken == []
@@ -55,23 +57,24 @@ def test_two_thousand_inputs():
 @given(rows=rows)
 def test_recordings_of_anything(tmp_path_factory, read_by, rows):
     text = "time_s,track_id,x_m,y_m\n" + "\n".join(map(",".join, rows))
-    refused_or_taken(read_by["recording"], tmp_path_factory.getbasetemp() / "any.csv", text)
+    rejected_or_taken(read_by["recording"], tmp_path_factory.getbasetemp() / "any.csv", text)
 
 
 @settings(max_examples=50, deadline=None)
 @given(scenes=st.lists(scene, max_size=3) | values)
 def test_scenes_of_anything(tmp_path_factory, read_by, scenes):
     text = json.dumps({"format": "foveate-scenes", "version": 1, "scenes": scenes})
-    refused_or_taken(read_by["scenes"], tmp_path_factory.getbasetemp() / "any.json", text)
+    rejected_or_taken(read_by["scenes"], tmp_path_factory.getbasetemp() / "any.json", text)
 
 
 @settings(max_examples=50, deadline=None)
 @given(text=st.lists(st.tuples(st.sampled_from(["scenario", "tau_s", "[policy]\nkind"]), values), max_size=3))
 def test_configurations_of_anything(tmp_path_factory, read_by, text):
     lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in text)
-    refused_or_taken(read_by["toml"], tmp_path_factory.getbasetemp() / "any.toml", lines)
+    rejected_or_taken(read_by["toml"], tmp_path_factory.getbasetemp() / "any.toml", lines)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(command=st.sampled_from([*COMMANDS]), words=st.lists(st.text(), max_size=3))
 def test_arguments_of_anything(tmp_path_factory, command, words):
@@ -113,12 +116,13 @@ LARGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LARGE)
 def test_large_files_are_done_soon(tmp_path, read_by, name):
     kind, text = LARGE[name]
     assert len(text) <= MEBIBYTE + 100
     began = time.process_time()
-    refused_or_taken(read_by[kind], tmp_path / "large", text)
+    rejected_or_taken(read_by[kind], tmp_path / "large", text)
     # Where lines are counted, too, Python takes twice as long.
     assert time.process_time() - began < (5.0 if sys.gettrace() is None else 15.0)
 

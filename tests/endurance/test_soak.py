@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 
+TESTS = Path(__file__).parents[1]
 
+
+@pytest.mark.slow
 def test_a_minute_of_the_loop():
     """In a process of its own, as `make soak` does it: here every annotation would be checked 6000 times."""
-    command = [sys.executable, str(Path(__file__).with_name("soak.py")), "--seconds", "60", "--tabs", "0"]
-    done = subprocess.run([*command, "--seed", "1"], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "endurance.soak", "--seconds", "60", "--tabs", "0", "--seed", "1"]
+    done = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
     said = done.stdout.splitlines()
     assert said[0].startswith("6000 steps, "), done.stderr
     # A machine that runs other tests at the same time has no p99 to speak of.
@@ -22,15 +25,17 @@ def test_a_minute_of_the_loop():
     assert outliers > 20
 
 
+@pytest.mark.slow
 def test_the_live_view_forgets_who_has_left(tmp_path):
     """Twenty connections, opened as a page does; `make soak` uses tabs of a real browser."""
     viser = pytest.importorskip("viser", reason="needs the extra view")
-    from plotting.live.test_server import made_up, wait_for
+    from helpers.browser import wait_for
+    from helpers.episode_data import late_sightings
     from websockets.sync.client import connect
 
     from foveate.plotting.live import server as view
 
-    source = view.EpisodeSource(scenes=("one",), methods=("still",), episode=lambda scene, method: made_up())
+    source = view.EpisodeSource(scenes=("one",), methods=("still",), episode=lambda scene, method: late_sightings())
     with view._server(0) as server:
         player = view.Player(server, source)
         player.tick(0.0)

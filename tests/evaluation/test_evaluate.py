@@ -26,7 +26,9 @@ EMPTY = Scene(id="empty", agent=(0.0, 0.0, 0.0), targets=(), drift=(), horizon=3
 @pytest.fixture(scope="module")
 def rows():
     suite = prepare(PAPER, SceneSettings(), [ALONE, THREE, EMPTY], seed=3, episodes=2)
-    return suite, evaluate(suite, "still", heuristic("still", PAPER, 2.0), ("surrogate", "true"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("foveate.evaluation.evaluate.decision_time", lambda *_: 0.125)
+        return suite, evaluate(suite, "still", heuristic("still", PAPER, 2.0), ("surrogate", "true"))
 
 
 def test_rows(rows, tmp_path):
@@ -40,7 +42,7 @@ def test_rows(rows, tmp_path):
     assert {r.seed for r in found} == {3}
     assert {r.method for r in found} == {"still"}
     for row in found:
-        assert 0 < row.step_time_s < 1
+        assert row.step_time_s == 0.125
         assert row.targets == {"alone": 1, "three": 3, "empty": 0}[row.scene]
         assert row.motion == ("biased" if row.scene == "alone" else "unbiased")
         assert 0 <= row.seen_step_fraction <= row.seen_fraction <= 1

@@ -50,6 +50,7 @@ def plans(suite, cache):
     return result
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_an_evaluation(suite, plans):
     rows = omniscient_rows(suite, "true", plans)
     assert [row.scene for row in rows] == [scene.id for scene in SCENES]

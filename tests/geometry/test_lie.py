@@ -68,6 +68,7 @@ def test_exp_so3(dtype, tolerance):
         assert_near(jacobian, expected, 2 * tolerance)
 
 
+@pytest.mark.slow
 @PRECISIONS
 def test_exp_se2(dtype, tolerance):
     twists = jnp.asarray(PLANAR_TWISTS, dtype)
@@ -141,6 +142,7 @@ def assert_inverts(jacobian, changes, tolerance):
     assert_near(products, np.broadcast_to(np.eye(products.shape[-1]), products.shape), tolerance)
 
 
+@pytest.mark.slow
 @PRECISIONS
 def test_log_inverts_expm_in_value_and_derivative(dtype, tolerance):
     """Also of rotations with rounding errors, about any axis up to pi, where it may be the other logarithm."""

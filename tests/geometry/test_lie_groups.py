@@ -76,6 +76,7 @@ def expected_operations(group, a, b, points):
     }
 
 
+@pytest.mark.slow
 @PRECISIONS
 @pytest.mark.parametrize("group", GROUPS)
 def test_operations_and_their_jacobians(group, dtype, tolerance):

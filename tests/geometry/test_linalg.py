@@ -158,6 +158,7 @@ def test_vech_and_symmetrise(size):
     np.testing.assert_allclose(half, (matrix + np.swapaxes(matrix, -1, -2)) / 2, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shapes", [((4, 3, 3), (3, 3)), ((2, 1, 6, 6), (5, 6, 2)), ((7, 3), (4, 3, 3)), ((0, 2, 2), (2, 2))]
 )

@@ -36,6 +36,7 @@ def actions(rng, *shape):
     return rng.uniform(-1, 1, (*shape, 2)).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_gymnasium_finds_nothing_wrong():
     """Warnings are errors here; `check_env` makes one with each way to render, too."""
     check_env(make())
@@ -247,6 +248,7 @@ def test_without_gymnasium_the_extra_is_named(monkeypatch):
         importlib.import_module("foveate.gym")
 
 
+@pytest.mark.torch
 def test_stable_baselines3_checks_and_learns():
     pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
     from stable_baselines3 import PPO
@@ -272,6 +274,7 @@ def test_stable_baselines3_checks_and_learns():
         assert each.action_space.contains(action)
 
 
+@pytest.mark.torch
 @pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
 def test_torchrl_collects_rollouts(mode):
     """Its wrapper around the vector environment: episodes end at the horizon, and the next ones begin whole."""
@@ -295,6 +298,7 @@ def test_torchrl_collects_rollouts(mode):
     assert np.isfinite(rollout["next", "reward"].numpy()).all()
 
 
+@pytest.mark.torch
 def test_the_page_runs(monkeypatch, tmp_path):
     """Block after block of docs/gymnasium.md, as a reader types them."""
     pytest.importorskip("stable_baselines3", reason="needs the extra ppo")

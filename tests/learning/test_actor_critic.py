@@ -89,6 +89,7 @@ def test_advantages_are_sums_of_temporal_differences(gae_lambda):
     np.testing.assert_array_equal(found[horizon:], 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["surrogate", "true"])
 def test_what_is_earned_is_what_the_rollout_scores(protocol):
     """With hardly any noise a try is the rollout of the policy, when all modes but one are out of reach."""
@@ -117,6 +118,7 @@ def test_what_is_earned_is_what_the_rollout_scores(protocol):
             np.testing.assert_allclose(tried.action[:K], trace.action[:K], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_loss_is_ppo_s_clipped_one():
     problem = TINY.scenario.problem()
     learner = actor_critic.begin(problem, NETWORK.policy(problem, jax.random.key(0)), settings(), jax.random.key(1))
@@ -145,6 +147,7 @@ MIXED = replace(TINY.scenario.scenes, steps=None)
 """Episodes of three and of six steps in one batch."""
 
 
+@pytest.mark.slow
 def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_end_counts_nothing():
     """The mean earned, the steps that count and the scale of advantages, from the tries one by one."""
     problem = TINY.scenario.problem()
@@ -177,6 +180,7 @@ def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_e
     assert not np.allclose(*chances), "the halves are of different episodes"
 
 
+@pytest.mark.slow
 def test_learns(tmp_path):
     """That it goes on as if undisturbed is in test_killed.py."""
     checks = []

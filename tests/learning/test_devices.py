@@ -75,6 +75,7 @@ def alone(monkeypatch):
     monkeypatch.setattr(jax, "device_count", lambda: 1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("alone")
 def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
     eight = "--xla_force_host_platform_device_count=8"
@@ -114,6 +115,7 @@ print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(p
 """
 
 
+@pytest.mark.slow
 def test_two_devices_of_this_process_learn_what_one_does_bit_for_bit(tmp_path, monkeypatch):
     train(TINY, tmp_path / "two")
     assert sharded(TINY.training.episodes, 2).devices == 2
@@ -122,6 +124,7 @@ def test_two_devices_of_this_process_learn_what_one_does_bit_for_bit(tmp_path, m
     assert (tmp_path / "two" / BEST).read_bytes() == (tmp_path / "one" / BEST).read_bytes()
 
 
+@pytest.mark.slow
 def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
     """XLA cuts long products up by the number of cores, which NPROC tells it; micro-batches are too small for that
     (all 32 episodes at once would not be)."""
@@ -236,6 +239,7 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("alone")
 def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
     """The first writes; when the second is killed it says so, and its last checkpoint is whole."""

@@ -23,6 +23,7 @@ EPISODE = training_episode(PROBLEM, SCENARIO.scenes, jax.random.key(4), noise=Fa
 KEY = jax.random.key(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("micro_batch", [1, 4, 7, 11, 100])
 def test_however_a_batch_is_cut_up_mean_and_gradient_are_the_same(micro_batch):
     """Of (a x - y)^2, by hand: the derivative in a is the mean of 2 x (a x - y)."""
@@ -58,6 +59,7 @@ def plain():
 SOFT = TrainingSettings().protocol
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segment", [2, 9])
 def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
     def last(w):

@@ -133,6 +133,7 @@ def untimed(run):
     return [{k: v for k, v in line.items() if k not in ("elapsed_s", "epochs_per_s")} for line in lines]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", [MODEL, TRYING], ids=["policy-gradient", "actor-critic"])
 def test_killed_at_random_moments_it_ends_the_same(experiment, tmp_path, monkeypatch):
     undisturbed = train(experiment, tmp_path / "a", seed=3)
@@ -173,6 +174,7 @@ def alone(tmp_path_factory):
     return run
 
 
+@pytest.mark.slow
 def test_a_process_that_is_really_killed(alone, tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_ENABLE_X64", "1")
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
@@ -199,6 +201,7 @@ def by_keyboard():
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_keyboard")
 def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, capsys):
     run, config, save = tmp_path / "run", tmp_path / "experiment.toml", RunFiles.save
@@ -220,6 +223,7 @@ def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, 
     same_runs(run, alone)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_keyboard")
 def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
     run, config = tmp_path / "run", tmp_path / "experiment.toml"
@@ -230,6 +234,7 @@ def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
     assert checks(run) == 0
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, capsys):
     """For real: no file may grow beyond what fits the first checks."""
     run, config, save = tmp_path / "run", tmp_path / "experiment.toml", RunFiles.save

@@ -84,6 +84,7 @@ def test_learns_and_tells(undisturbed):
     assert list(run.glob("events*")), "TensorBoard reads the run folder"
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     """Also: the same seed twice gives the same bytes, since the first half is trained again from nothing."""
     run, outcome, _ = undisturbed
@@ -204,6 +205,7 @@ def test_a_number_that_is_not_finite_leaves_the_best_checkpoint_alone(monkeypatc
     strict(tmp_path / "r" / METRICS)
 
 
+@pytest.mark.slow
 def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
     keys = stubbed(
         monkeypatch, [(1.0, 2.0, 0.0, True), (9.0, 0.0, 1.0, True), (3.0, 2.5, 0.0, True), (4.0, 2.4, 0.0, True)]
@@ -217,6 +219,7 @@ def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
     assert not jnp.array_equal(*map(jax.random.key_data, (keys["training"], keys["held_out"]))), "held out is held out"
 
 
+@pytest.mark.slow
 def test_a_run_in_which_nothing_was_ever_good_can_still_be_loaded(monkeypatch, tmp_path):
     """Saturated from the first check to the last: there is something to look at all the same."""
     stubbed(monkeypatch, [(9.0, 0.0, 1.0, True)] * 4)

@@ -91,6 +91,7 @@ def flat(tree):
     return np.asarray(ravel_pytree(eqx.filter(tree, eqx.is_inexact_array))[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_equals_reverse_mode_and_central_differences(name):
     problem, policy, episode = made(name)
@@ -114,6 +115,7 @@ def test_equals_reverse_mode_and_central_differences(name):
         )
 
 
+@pytest.mark.slow
 def test_the_paper_s_planar_policy_through_the_lift():
     """Its gradient in the plane, by reverse mode, is Proposition 1's on the floor of space."""
     problem = Scenario().problem()
@@ -132,6 +134,7 @@ def test_the_paper_s_planar_policy_through_the_lift():
     np.testing.assert_allclose(flat(gradient), flat(reverse), rtol=0, atol=1e-9 * np.linalg.norm(flat(reverse)))
 
 
+@pytest.mark.slow
 def test_the_printed_form_is_partial():
     """Without the way of theta through the policy's inputs the first step is right, and only that."""
     problem, policy, episode = made("six axes, cone", steps=3)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.episode_data import random_episode
 from matplotlib.lines import Line2D
 from PIL import Image
-from plotting.test_figures import made_up
 
 from foveate.experiment.run_folder import Validation
 from foveate.plotting import comparison as figures
@@ -35,7 +35,7 @@ def test_mean_and_band_over_seeds():
 
 def test_both_agents_are_drawn_in_their_own_colour():
     axes = drawing.new_figure(3.0, 3.0).subplots()
-    films = (made_up(seed=1), made_up(seed=2))
+    films = (random_episode(seed=1), random_episode(seed=2))
     for one, tint in zip(films, figures.DUEL, strict=True):
         drawing.PlanarScene(axes, one, drawing.limits(films), tint=tint).show(12)
     paths = [line for line in axes.lines if isinstance(line, Line2D) and line.get_color() in figures.DUEL]
@@ -46,7 +46,7 @@ def test_both_agents_are_drawn_in_their_own_colour():
 def test_figures_are_files_of_readme_width(tmp_path):
     run = [replace(CHECK, env_steps=9900 * i, held_out=2.0 * i, elapsed_s=2.0 + i) for i in (1, 2, 3)]
     learning_curves({"a": ("true", [run, run]), "b": ("surrogate", [run[:1]])}, tmp_path / "learning.png")
-    duel_figure(("a", "b"), [(made_up(seed=1), made_up(seed=2))], tmp_path / "duel.png")
+    duel_figure(("a", "b"), [(random_episode(seed=1), random_episode(seed=2))], tmp_path / "duel.png")
     for path in tmp_path.iterdir():
         with Image.open(path) as picture:
             assert picture.width == 1350

@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from helpers.episode_data import TRIANGLE, random_episode
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 from PIL import Image
@@ -17,34 +18,11 @@ from scipy.linalg import expm
 
 from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.presets import PRESETS
-from foveate.geometry.space import SPACES
 from foveate.plotting import animation, figures
 from foveate.plotting import scene as drawing
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import TRUE
-
-TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
-
-
-def made_up(steps=4, n=3, seed=0, **changes) -> EpisodeData:
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(steps + 1, n, 2, 2))
-    truth = rng.uniform(-8, 8, (n, 2)) + rng.normal(0, 0.3, (steps + 1, n, 2)).cumsum(axis=0)
-    values = {
-        "title": "made up",
-        "space": SPACES["planar"],
-        "visible": rng.random((steps, n)) < 0.4,
-        "log_det": rng.normal(3, 2, (steps, n)),
-        "times_s": 0.5 * np.arange(steps + 1),
-        "pose": rng.normal(0, [0.8, 0.8, 0.5], (steps + 1, 3)).cumsum(axis=0),
-        "truth": truth,
-        "estimate": truth + rng.normal(0, 0.4, (steps + 1, n, 2)),
-        "covariance": root @ root.swapaxes(-1, -2) + 0.1 * np.eye(2),
-        "present": np.ones((steps + 1, n), bool),
-        "outline": (TRIANGLE,),
-    }
-    return EpisodeData(**{**values, **changes})
 
 
 def scene(which: EpisodeData, moment: int, **options) -> drawing.PlanarScene:
@@ -107,16 +85,16 @@ def test_score_and_share_count_who_is_there():
     present = np.array([[1, 1, 0], [1, 1, 1], [1, 0, 1]], bool)
     visible = np.array([[1, 0, 1], [0, 1, 1]], bool)
     log_det = np.array([[1.0, 2, 3], [4, 50, 6]])
-    made = made_up(2, 3, present=present, visible=visible, log_det=log_det)
+    made = random_episode(2, 3, present=present, visible=visible, log_det=log_det)
     assert made.score == 5.0
     # Steps at both ends of which a target was there: 2 of the first, 1 of the second, 1 of the third.
     assert made.seen_share == 2 / 4
-    assert made_up(3, 0).score is None
-    assert made_up(3, 0).seen_share == 0
+    assert random_episode(3, 0).score is None
+    assert random_episode(3, 0).seen_share == 0
 
 
 def test_times_that_do_not_fit_are_rejected():
-    short = made_up(3, 1)
+    short = random_episode(3, 1)
     with pytest.raises(ValueError, match="times_s has 4 instants: expected 5"):
         dataclasses.replace(short, visible=np.zeros((4, 1), bool), log_det=np.zeros((4, 1)))
 
@@ -132,7 +110,7 @@ def test_arc_is_the_exponential_of_a_constant_twist(turn):
     twist = np.array([[0, -w, v[0]], [w, 0, v[1]], [0, 0, 0]])
     end = matrix(start) @ expm(twist)
     poses = np.array([start, [end[0, 2], end[1, 2], start[2] + w]])
-    arc = made_up(1, 0, pose=poses).arc()
+    arc = random_episode(1, 0, pose=poses).arc()
     assert arc.shape == (SUBSTEPS + 1, 3)
     for i, pose in enumerate(arc):
         np.testing.assert_allclose(matrix(pose), matrix(start) @ expm(twist * i / SUBSTEPS), atol=1e-12)
@@ -142,7 +120,7 @@ def test_arc_is_the_exponential_of_a_constant_twist(turn):
 
 
 def test_view_is_the_outline_moved_by_the_pose():
-    which = made_up(3, 2, seed=1)
+    which = random_episode(3, 2, seed=1)
     for instant in range(4):
         x, y, yaw = which.pose[instant]
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -151,7 +129,7 @@ def test_view_is_the_outline_moved_by_the_pose():
 
 
 def test_colour_follows_the_measurement_of_the_instant():
-    which = made_up(2, 3, visible=np.array([[1, 0, 0], [0, 1, 1]], bool))
+    which = random_episode(2, 3, visible=np.array([[1, 0, 0], [0, 1, 1]], bool))
     for instant, seen in ((0, []), (1, [0]), (2, [1, 2])):
         shown = scene(which, SUBSTEPS * instant)
         unseen = [j for j in range(3) if j not in seen]
@@ -165,7 +143,7 @@ def test_absent_targets_are_not_drawn():
     present = np.ones((4, 3), bool)
     present[:, 1] = False
     present[2:, 2] = False
-    which = made_up(3, 3, present=present)
+    which = random_episode(3, 3, present=present)
     far = which.truth.copy()
     far[:, 1] = 1e6
     which = dataclasses.replace(which, truth=far, estimate=far)
@@ -182,7 +160,7 @@ def test_absent_targets_are_not_drawn():
 
 
 def test_between_instants_targets_move_in_line_and_the_trail_is_bounded():
-    which = made_up(5, 2)
+    which = random_episode(5, 2)
     shown = scene(which, 3 * SUBSTEPS + SUBSTEPS // 2, trail=1)
     np.testing.assert_allclose(shown.targets.get_xydata(), (which.truth[3] + which.truth[4]) / 2)
     track = shown.trails.get_xydata().reshape(2, -1, 2)
@@ -191,7 +169,7 @@ def test_between_instants_targets_move_in_line_and_the_trail_is_bounded():
 
 
 def test_limits_hold_everything_but_beliefs_without_bound():
-    which = made_up(3, 2)
+    which = random_episode(3, 2)
     vague = dataclasses.replace(which, covariance=1e6 * which.covariance)
     for made, most in ((which, 60.0), (vague, 60.0)):
         low, high = drawing.limits([made])
@@ -238,7 +216,7 @@ def test_frames_are_few_evenly_spaced_and_end_at_the_end(steps, count):
 
 
 def test_gif_has_its_frames_loops_and_keeps_its_colours(tmp_path):
-    which = made_up(4, 3)
+    which = random_episode(4, 3)
     animation.animate(which, tmp_path / "a.gif", fps=8)
     with Image.open(tmp_path / "a.gif") as picture:
         assert picture.size == (900, 500)
@@ -258,7 +236,7 @@ def test_gif_has_its_frames_loops_and_keeps_its_colours(tmp_path):
 
 
 def test_last_moment_as_png(tmp_path):
-    animation.animate(made_up(), tmp_path / "a.png", size=(600, 400))
+    animation.animate(random_episode(), tmp_path / "a.png", size=(600, 400))
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size == (600, 400)
 
@@ -266,7 +244,7 @@ def test_last_moment_as_png(tmp_path):
 def test_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ValueError, match="ffmpeg is missing"):
-        animation.animate(made_up(), tmp_path / "a.mp4")
+        animation.animate(random_episode(), tmp_path / "a.mp4")
     assert not list(tmp_path.iterdir())
 
 
@@ -276,11 +254,11 @@ def test_mp4_pipes_every_frame(tmp_path, monkeypatch):
     tool.write_text(f'#!{sys.executable}\nimport sys\nopen(sys.argv[-1], "wb").write(sys.stdin.buffer.read())\n')
     tool.chmod(tool.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", str(tmp_path) + os.pathsep + os.environ["PATH"])
-    animation.animate(made_up(2, 1), tmp_path / "a.mp4", fps=4, size=(400, 300))
+    animation.animate(random_episode(2, 1), tmp_path / "a.mp4", fps=4, size=(400, 300))
     assert (tmp_path / "a.mp4").stat().st_size == (7 + 6) * 400 * 300 * 3
     tool.write_text(f'#!{sys.executable}\nimport sys\nsys.stdin.buffer.read()\nsys.exit("no such codec")\n')
     with pytest.raises(ValueError, match="ffmpeg failed: no such codec"):
-        animation.animate(made_up(2, 1), tmp_path / "b.mp4", size=(400, 300))
+        animation.animate(random_episode(2, 1), tmp_path / "b.mp4", size=(400, 300))
 
 
 @pytest.mark.parametrize(
@@ -293,7 +271,7 @@ def test_mp4_pipes_every_frame(tmp_path, monkeypatch):
 )
 def test_animate_refuses(tmp_path, name, options, message):
     with pytest.raises(ValueError, match=message):
-        animation.animate(made_up(), tmp_path / name, **options)
+        animation.animate(random_episode(), tmp_path / name, **options)
 
 
 def test_nothing_to_draw_and_wrong_endings_are_rejected(tmp_path):
@@ -304,13 +282,13 @@ def test_nothing_to_draw_and_wrong_endings_are_rejected(tmp_path):
     with pytest.raises(ValueError, match="no run to draw"):
         figures.learning_curve([], tmp_path / "a.png")
     with pytest.raises(ValueError, match=r"ends in .png, .pdf, .svg"):
-        figures.trajectory_figure([made_up()], tmp_path / "a.bmp")
+        figures.trajectory_figure([random_episode()], tmp_path / "a.bmp")
 
 
 def test_replay_timeline_and_shares(tmp_path):
     present = np.array([[1, 1, 1, 0, 1], [0, 1, 1, 1, 1]], bool).T
     visible = np.array([[0, 1, 0, 1], [0, 1, 0, 1]], bool).T
-    made = made_up(4, 2, present=present, visible=visible)
+    made = random_episode(4, 2, present=present, visible=visible)
     axes = drawing.new_figure(3.0, 3.0).subplots()
     figures._timeline(axes, made, "x")
 
@@ -324,7 +302,7 @@ def test_replay_timeline_and_shares(tmp_path):
     assert sorted(map(sorted, spans(seen))) == [[0.5, 1.0]]
     assert sorted(map(sorted, spans(there_too))) == [[0.5, 2.0]]
     assert sorted(map(sorted, spans(seen_too))) == [[0.5, 1.0], [1.5, 2.0]]
-    figures.replay_figure({"one": made, "two": made_up(4, 2)}, tmp_path / "a.png")
+    figures.replay_figure({"one": made, "two": random_episode(4, 2)}, tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width == 1350
 
@@ -371,7 +349,7 @@ def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
 
 def test_the_clock_and_the_timeline_follow_steps_of_any_length():
     """A quarter of a second, then three: half way through the second step it is 1.75 s."""
-    data = made_up(2, 1, times_s=np.array([0.0, 0.25, 3.25]), visible=np.array([[False], [True]]))
+    data = random_episode(2, 1, times_s=np.array([0.0, 0.25, 3.25]), visible=np.array([[False], [True]]))
     figure = drawing.new_figure(9.0, 5.0, layout=None)
     artists, show = animation._scene(figure, data, (900, 500))
     show(SUBSTEPS + SUBSTEPS // 2)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episode_data import random_episode
 from PIL import Image
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
@@ -237,9 +238,7 @@ def test_gif_has_its_frames_and_colours(tmp_path):
 
 
 def test_figures_of_space_beside_one_of_the_plane(tmp_path):
-    from plotting.test_figures import made_up as planar
-
-    figures.trajectory_figure([made_up(), planar()], tmp_path / "a.png")
+    figures.trajectory_figure([made_up(), random_episode()], tmp_path / "a.png")
     figures.replay_figure({"one": made_up(), "two": made_up(seed=1)}, tmp_path / "b.png")
     for name in "ab":
         with Image.open(tmp_path / f"{name}.png") as picture:

@@ -2,10 +2,10 @@
 
 import math
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS, PPOSettings, TrainingSettings
 from foveate.io.toml import dumps_toml, load_toml
@@ -49,25 +49,6 @@ BAD = {
     "tau": (lambda: Scenario(tau_s=0.0), "tau_s = 0.0"),
     "negative tau": (lambda: Scenario(tau_s=-1.0), "tau_s = -1.0"),
     "tau no number": (lambda: Scenario(tau_s=math.nan), "tau_s = nan"),
-    "speeds": (lambda: DifferentialDrive(v_min_m_s=2.0, v_max_m_s=2.0), "v_max_m_s = 2.0"),
-    "turn rate": (lambda: DifferentialDrive(w_max_rad_s=0.0), "w_max_rad_s = 0.0"),
-    "depth": (lambda: TriangleView(depth_m=0.0), "depth_m = 0.0"),
-    "angle": (lambda: TriangleView(angle_deg=180.0), "angle_deg = 180.0"),
-    "sector depth": (lambda: SectorView(depth_m=-1.0), "depth_m = -1.0"),
-    "sector angle": (lambda: SectorView(angle_deg=361.0), "angle_deg = 361.0"),
-    "polygon": (lambda: PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (1.0, 1.0))), "vertices"),
-    "hollow": (
-        lambda: PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (2.0, 0.0), (0.5, 0.5), (0.0, 2.0))),
-        "convex",
-    ),
-    "std": (lambda: SensorSettings(std_m=0.0), "std_m = 0.0"),
-    "growth": (lambda: SensorSettings(range_growth_per_m=-0.1), "range_growth_per_m = -0.1"),
-    "V singular": (lambda: SensorSettings(V=TURNED), "V = ((0.5, 0.5)"),
-    "V negative": (lambda: SensorSettings(V=((-1.0,),)), "V = ((-1.0,),)"),
-    "V not symmetric": (lambda: SensorSettings(V=((1.0, 0.1), (0.0, 1.0))), "symmetric"),
-    "V not square": (lambda: SensorSettings(V=SPARSE), "expected shape 2 x 2, got 2 x 3"),
-    "H ragged": (lambda: SensorSettings(H=((1.0, 0.0), (1.0,))), "H = ((1.0, 0.0), (1.0,))"),
-    "H empty": (lambda: SensorSettings(H=()), "H = ()"),
     "H too wide": (
         lambda: Scenario(sensor=SensorSettings(H=SPARSE)),
         "sensor.H = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)): expected 2 columns",
@@ -81,21 +62,6 @@ BAD = {
         lambda: Scenario(sensor=SensorSettings(H=(*EYE, (1.0, 1.0)))).problem(),
         "expected at most 2 rows",
     ),
-    "no axis": (lambda: FreeBody(kind="body", axes=(), lower=(), upper=()), "axes = ()"),
-    "unknown axis": (lambda: FreeBody(kind="body", axes=("w",), lower=(-1.0,), upper=(1.0,)), "no axis 'w'"),
-    "axis twice": (
-        lambda: FreeBody(kind="body", axes=("vx", "vx"), lower=(0.0,) * 2, upper=(1.0,) * 2),
-        "each axis once",
-    ),
-    "limits of another number": (lambda: FreeBody(kind="body", axes=("vx",), lower=(), upper=(1.0,)), "lower = ()"),
-    "limits crossed": (lambda: FreeBody(kind="body", axes=("vx",), lower=(1.0,), upper=(0.0,)), "upper = (0.0,)"),
-    "no climb": (lambda: Quadrotor(kind="quadrotor", climb_max_m_s=0.0), "climb_max_m_s = 0.0"),
-    "hovering wing": (lambda: FixedWing(kind="fixed_wing", v_min_m_s=0.0), "v_min_m_s = 0.0"),
-    "slow wing": (lambda: FixedWing(kind="fixed_wing", v_max_m_s=5.0), "v_max_m_s = 5.0"),
-    "near beyond far": (lambda: FrustumView(shape="frustum", near_m=7.0), "near_m = 7.0"),
-    "wide camera": (lambda: FrustumView(shape="frustum", width_deg=180.0), "width_deg = 180.0"),
-    "cone": (lambda: ConeView(shape="cone", angle_deg=0.0), "angle_deg = 0.0"),
-    "ball on a line": (lambda: BallView(shape="ball", radius_m=1.0, center_m=(0.0,)), "center_m = (0.0,)"),
     "a camera in the plane": (lambda: Scenario(view=FrustumView(shape="frustum")), "expected a shape in 2 dimensions"),
     "a triangle in space": (
         lambda: Scenario(agent=Quadrotor(kind="quadrotor"), scenes=VOLUME),
@@ -104,10 +70,6 @@ BAD = {
     "a density with negative directions": (
         lambda: VelocityTarget(kind="constant_velocity", Q=((1.0, 2.0), (2.0, 1.0))),
         "no negative eigenvalue",
-    ),
-    "V that float32 takes for singular": (
-        lambda: SensorSettings(V=((1.0, 1.0 - 1e-8), (1.0 - 1e-8, 1.0))),
-        "also in float32",
     ),
     "B not a number": (lambda: linear(B=((math.nan, 0.0), (0.0, 1.0))), "expected finite numbers"),
     "A loses what a scheduled W does not restore": (
@@ -176,9 +138,9 @@ def test_the_mean_horizon_is_that_of_the_scenes_drawn() -> None:
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_settings(name):
+def test_wrong_settings_are_rejected(name):
     make, words = BAD[name]
-    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the words are compared below
+    with pytest.raises(InputError) as caught:
         make()
     assert words in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
@@ -297,38 +259,3 @@ def test_bad_toml(tmp_path, text, words):
         load_toml(Experiment, path)
     assert words in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
-
-
-AGENTS = {
-    "drive": (DifferentialDrive(space="spatial", v_max_m_s=2.0, w_max_rad_s=0.5), {0: (0.0, 2.0), 5: (-0.5, 0.5)}),
-    "quadrotor": (
-        Quadrotor(kind="quadrotor", v_max_m_s=3.0, climb_max_m_s=1.0, yaw_rate_max_rad_s=2.0),
-        {0: (-3.0, 3.0), 1: (-3.0, 3.0), 2: (-1.0, 1.0), 5: (-2.0, 2.0)},
-    ),
-    "wing": (
-        FixedWing(kind="fixed_wing"),
-        {0: (10.0, 20.0), 3: (-1.0, 1.0), 4: (-0.5, 0.5), 5: (-0.2, 0.2)},
-    ),
-    "free": (
-        FreeBody(kind="body", axes=("wy", "vx"), lower=(-1.0, 0.0), upper=(2.0, 3.0)),
-        {0: (0.0, 3.0), 4: (-1.0, 2.0)},
-    ),
-}
-"""Settings, and the limits of each axis of the twist [v_x, v_y, v_z, w_x, w_y, w_z] that they command."""
-
-
-@pytest.mark.parametrize("name", AGENTS)
-def test_every_command_reaches_its_axis_within_its_limits(name):
-    settings, limits = AGENTS[name]
-    agent = settings.agent()
-    assert agent.axes == tuple(limits)
-    for end, side in ((-1.0, 0), (1.0, 1)):
-        twist = np.zeros(6)
-        for axis, both in limits.items():
-            twist[axis] = both[side]
-        np.testing.assert_allclose(agent.twist(jnp.full(len(limits), end)), twist, rtol=1e-12)
-
-
-def test_badly_scaled_covariances_are_fine_in_float32():
-    """A kilometre beside a millimetre: what scales the axes costs no digits."""
-    assert SensorSettings(V=((1e6, 0.0), (0.0, 1e-6))).V is not None

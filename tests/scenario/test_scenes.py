@@ -1,17 +1,14 @@
 """Scenes files: what is written comes back; anything wrong is one line with file and place; the contract holds."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from helpers.commands import check_contract
 
 from foveate.geometry.space import SPACES
 from foveate.scenario.scenes import Scene, SceneSettings, read_scenes, write_scenes
 
 PLANAR, SETTINGS = SPACES["planar"], SceneSettings()
-CONTRACT = Path(__file__).parents[3] / "shared" / "tools" / "contract.py"
 GOOD = {"id": "a", "agent": [1.0, 2.0, 0.5], "targets": [[1, 2], [3.5, -4]], "drift": [[0.1, 0], [0, 0]], "horizon": 9}
 SCENES = [
     Scene(
@@ -127,15 +124,6 @@ def test_missing_file(tmp_path):
     assert "no such file" in rejection(tmp_path / "none.json")
 
 
-@pytest.mark.skipif(not CONTRACT.exists(), reason="the contract's checker lies outside of this repository")
-def test_contract(tmp_path):
-    path = tmp_path / "scenes.json"
-    write_scenes(path, SCENES)
-    command = [sys.executable, str(CONTRACT), "scenes", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
-    assert "0 faults" in done.stdout
-    broken = json.loads(path.read_text())
-    del broken["scenes"][1]["agent"]
-    path.write_text(json.dumps(broken))
-    assert subprocess.run(command, capture_output=True, check=False).returncode == 1, "the checker must be able to fail"
+def test_written_scenes_keep_the_contract(tmp_path):
+    write_scenes(tmp_path / "scenes.json", SCENES)
+    check_contract("scenes", tmp_path / "scenes.json")

@@ -50,6 +50,7 @@ def played(environment: Environment, key, policy: Policy):
     return episode.horizon, trace, moment.score, jax.lax.scan(one, moment, length=len(trace.action))[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_stepped_is_rolled_out(name: str) -> None:
     """`rollout` has textbook oracles of its own: what is stepped must be what it simulates."""
@@ -70,6 +71,7 @@ def test_stepped_is_rolled_out(name: str) -> None:
             np.testing.assert_allclose(scores, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_scores_of_several_levels_are_their_mean() -> None:
     """Two soft levels alone and together: what both earn is halfway between what each does."""
     easy, hard = SURROGATE.levels[0], SOFT.levels[1]
@@ -110,6 +112,7 @@ def alone(environment: Environment, key, actions):
     return jax.lax.scan(one, reset(environment, key), actions)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["surrogate, no noise", "two levels at the truth, targets that come and go"])
 def test_a_batch_is_its_environments_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Through several ends of episodes, also where more are over at once than are drawn at once."""

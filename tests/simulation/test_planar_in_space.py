@@ -35,6 +35,7 @@ WORLDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "frame"), [*zip(WORLDS, ["world", "body"], strict=True)])
 def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
     scenario = WORLDS[name]

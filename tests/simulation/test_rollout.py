@@ -36,7 +36,8 @@ class Feedback(Policy):
         lower = o.information[:, *jnp.tril_indices(o.mean.shape[-1])]
         each = jnp.concatenate([o.mean, lower / 20, o.known_input], axis=-1)
         total = jnp.sum(jnp.where(o.present[:, None], jnp.sin(each), 0.0), axis=0)
-        features = jnp.concatenate([total, jnp.sin(o.pose), jnp.array([0.1 * o.step + memory])])
+        clock = 0.1 * jnp.asarray(o.step, o.mean.dtype) + memory
+        features = jnp.concatenate([total, jnp.sin(o.pose), jnp.array([clock])])
         return jnp.tanh(self.weights @ features), memory + 0.01
 
     def start(self, observation):

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.points import DOUBLING, random_points
 from PIL import Image
-from study.test_robustness import MADE_UP, made_up_points
 
 from foveate.evaluation.comparison import Overall
 from foveate.plotting.scene import new_figure
@@ -66,9 +66,9 @@ def test_the_pareto_figure_is_a_file_of_readme_width(tmp_path):
 
 
 def test_lines_stand_at_the_means():
-    axes, found = new_figure(3.0, 3.0).subplots(), verdicts(MADE_UP, made_up_points())
+    axes, found = new_figure(3.0, 3.0).subplots(), verdicts(DOUBLING, random_points())
     styles = {"net": figures.STYLES[0], "omniscient": figures.DASHED}
-    figures._panel(axes, MADE_UP, found, styles)
+    figures._panel(axes, DOUBLING, found, styles)
     drawn = {(line.get_color(), line.get_linestyle()): line for line in axes.lines}
     net = [one for one in found if one.method == "net"]
     color, _, line = styles["net"]
@@ -80,8 +80,8 @@ def test_lines_stand_at_the_means():
 
 
 def test_the_robustness_figure_is_a_file_of_readme_width(tmp_path):
-    factors = [replace(MADE_UP, name=name, values=values) for name, values in (("f", (1.0, 2.0)), ("g", (1.0, 2.0)))]
-    found = {factor.name: verdicts(MADE_UP, made_up_points()) for factor in factors}
+    factors = [replace(DOUBLING, name=name, values=values) for name, values in (("f", (1.0, 2.0)), ("g", (1.0, 2.0)))]
+    found = {factor.name: verdicts(DOUBLING, random_points()) for factor in factors}
     robustness_figure(factors * 3, found, tmp_path / "robustness.png", "true score")
     with Image.open(tmp_path / "robustness.png") as picture:
         assert picture.width == 1350
@@ -90,7 +90,7 @@ def test_the_robustness_figure_is_a_file_of_readme_width(tmp_path):
 
 
 def test_a_factor_of_one_value_is_drawn(tmp_path):
-    alone = replace(MADE_UP, values=(1.0,))
-    found = verdicts(alone, [point for point in made_up_points() if point.value == 1.0])
+    alone = replace(DOUBLING, values=(1.0,))
+    found = verdicts(alone, [point for point in random_points() if point.value == 1.0])
     robustness_figure([alone], {"f": found}, tmp_path / "one.png", "true score")
     assert (tmp_path / "one.png").stat().st_size > 1000

@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.points import DOUBLING, SCORES, random_points
 from scipy import stats
 
 from foveate.evaluation.evaluate import evaluate
 from foveate.experiment.presets import PRESETS
 from foveate.policies.heuristics import heuristic
-from foveate.scenario.factors import FACTORS, Factor
+from foveate.scenario.factors import FACTORS
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
-from foveate.study.robustness import Point, as_json, changed_benchmark, measure, verdicts
+from foveate.study.robustness import as_json, changed_benchmark, measure, verdicts
 from foveate.study.tables import worlds
 
 PAPER = PRESETS["paper"]
@@ -29,6 +30,7 @@ def test_scenes_are_those_of_table1_and_the_same_for_every_value():
         np.testing.assert_allclose(half.drift, np.array(whole.drift) / 2, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_points_are_what_an_evaluation_says():
     def nearest(experiment):
         return heuristic("nearest", experiment.scenario.problem(), experiment.scenario.view.depth_m)
@@ -43,27 +45,10 @@ def test_points_are_what_an_evaluation_says():
     assert measured[0.2]["floor"] == pytest.approx(-2 * np.log(2.0 + 15 * 0.05**2))
 
 
-MADE_UP = Factor(name="f", label="f", values=(1.0, 2.0), trained=(1.0, 1.0), change=lambda scenario, value: scenario)
-SCORES = np.random.default_rng(0).normal(3.0, 1.0, (2, 2, 12))
-"""Of two training seeds, two values, twelve scenes."""
-
-
-def made_up_points() -> list[Point]:
-    def point(method, seed, value, scores):
-        scores = tuple(float(score) for score in scores)
-        return Point(factor="f", value=value, method=method, training_seed=seed, floor=-1.0, scores=scores,
-                     seen=(0.5,) * 12)  # fmt: skip
-
-    net = [
-        point("net", seed, value, SCORES[s, v]) for s, seed in enumerate((0, 10)) for v, value in ((0, 1.0), (1, 2.0))
-    ]
-    return [*net, point("omniscient", None, 1.0, [9.0] * 12), point("omniscient", None, 2.0, [7.0] * 12)]
-
-
 def test_the_table_leaves_out_a_closeness_that_says_nothing():
     """Where a method passes the omniscient planner, that planner is the weak one."""
-    best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in made_up_points()[-2:]]
-    found = worlds([MADE_UP], [*made_up_points()[:-2], *best])
+    best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in random_points()[-2:]]
+    found = worlds([DOUBLING], [*random_points()[:-2], *best])
     mean = SCORES.mean(axis=(0, 2))
     (_, method, *cells), (_, ceiling, *highest) = found.rows
     assert (method, ceiling, highest[0]) == ("net", "omniscient", "9.00 ± 0.00")
@@ -72,7 +57,7 @@ def test_the_table_leaves_out_a_closeness_that_says_nothing():
 
 
 def test_verdicts():
-    found = {(one.method, one.value): one for one in verdicts(MADE_UP, made_up_points())}
+    found = {(one.method, one.value): one for one in verdicts(DOUBLING, random_points())}
     mean = SCORES.mean(axis=0)
     net = found["net", 2.0]
     assert net.mean == pytest.approx(mean[1].mean())
@@ -83,9 +68,9 @@ def test_verdicts():
     assert net.difference == pytest.approx(change.mean())
     assert net.difference_ci95 == pytest.approx(stats.t.interval(0.95, 11, loc=change.mean(), scale=stats.sem(change)))
     assert found["omniscient", 1.0].normalised_score == pytest.approx(1.0)
-    (others, _, _, _) = verdicts(replace(MADE_UP, same_scenes=False), made_up_points())
+    (others, _, _, _) = verdicts(replace(DOUBLING, same_scenes=False), random_points())
     assert others.difference is None
-    alone = [point for point in made_up_points() if point.method == "net"]
-    assert {one.normalised_score for one in verdicts(MADE_UP, alone)} == {None}
-    data = as_json([MADE_UP], made_up_points(), {"protocol": "true"})
+    alone = [point for point in random_points() if point.method == "net"]
+    assert {one.normalised_score for one in verdicts(DOUBLING, alone)} == {None}
+    data = as_json([DOUBLING], random_points(), {"protocol": "true"})
     assert [len(data["factors"][0][part]) for part in ("verdicts", "points")] == [4, 6]

@@ -120,7 +120,8 @@ def rewards(
     where that at the horizon is what counts).
     """
     scores = step_scores(visible.astype(log_det.dtype) if objective == "seen" else log_det, episode)
-    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / episode.horizon
+    steps = episode.horizon.astype(scores.dtype)
+    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / steps
     return jnp.where(jnp.arange(len(scores)) < episode.horizon, earned, 0.0)
 
 
@@ -214,7 +215,7 @@ def loss(
     gain = jnp.minimum(ratio * rows.advantage, bounded * rows.advantage)
     error = jax.vmap(critic)(rows.observation) - rows.earned
     cost = error**2 - gain - settings.entropy_weight * jax.vmap(entropy)(modes)
-    return jnp.sum(jnp.where(rows.counts, cost, 0.0)) / jnp.maximum(jnp.sum(rows.counts), 1)
+    return jnp.sum(jnp.where(rows.counts, cost, 0.0)) / jnp.maximum(jnp.sum(rows.counts), 1).astype(cost.dtype)
 
 
 def epoch(
@@ -223,7 +224,7 @@ def epoch(
     """Play a batch and go over it `passes` times; the chance of epoch i comes from (key, i) alone."""
     play_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     first, last = settings.action_std
-    action_std = first + (last - first) * learner.epoch / settings.epochs
+    action_std = first + (last - first) * jnp.asarray(learner.epoch, float) / settings.epochs
     samples, earned = gather(problem, scenes, settings, learner, action_std, play_key)
     parameters, rest = eqx.partition(_networks(learner), eqx.is_inexact_array)
     # In each pass rows that count come first, in a new order; a minibatch has one size, whatever the batch.

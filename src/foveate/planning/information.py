@@ -37,7 +37,7 @@ def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: 
     """Mean log det Y over the targets at the horizon [nat], in a soft view, or the real one where `level` is None."""
     log_det = final_log_det(problem, future, action, level)
     total = jnp.sum(jnp.where(future.present, log_det, 0.0))
-    return total / jnp.maximum(jnp.sum(future.present), 1)
+    return total / jnp.maximum(jnp.sum(future.present), 1).astype(total.dtype)
 
 
 def final_log_det(

@@ -84,7 +84,7 @@ class Receding(Policy):
         """The first action of the best plan for the believed future."""
         plan_key, policy_key = jax.random.split(key)
         total = memory.total_input + observation.known_input
-        later_input = total / (observation.step + 1)
+        later_input = total / jnp.asarray(observation.step + 1, total.dtype)
         left = jnp.maximum(self.horizon - observation.step, 1)
         future = believed_future(self.problem, observation, later_input, self.window, left)
         given, inner = memory.raw[None], memory.policy

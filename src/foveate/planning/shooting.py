@@ -134,7 +134,8 @@ def better(a: Plan, b: Plan) -> Plan:
 
 def level_at(settings: PlanSettings, iteration: Array) -> Softness:
     """The level of the soft view at an iteration."""
-    progress: Any = jnp.clip(iteration / max(1.0, settings.annealed * settings.iterations), 0.0, 1.0)
+    done = jnp.asarray(iteration, float) / max(1.0, settings.annealed * settings.iterations)
+    progress: Any = jnp.clip(done, 0.0, 1.0)
     offset, kappa = (a + (b - a) * progress for a, b in zip(settings.first, settings.last, strict=True))
     return Softness(offset, kappa)
 

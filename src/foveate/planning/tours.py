@@ -68,7 +68,7 @@ def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Flo
         action = agent.action(twist[jnp.array(agent.axes)])
         pose = agent.move(pose, action, problem.tau)
         seen = view.contains(agent.space.to_body(pose, problem.motion.position(state)))
-        return (pose, looks + seen), action
+        return (pose, jnp.where(seen, looks + 1, looks)), action
 
     action = jax.lax.scan(step, (future.pose, jnp.zeros(targets, int)), future.state)[1]
     raw = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))

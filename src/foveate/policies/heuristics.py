@@ -117,9 +117,9 @@ class Lawnmower(Steering):
             high = jnp.where(empty, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
         else:
             low, high = self.box_world
-        across = jnp.repeat((jnp.arange(LANES) + 0.5) / LANES, 2)
-        along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0]), LANES // 2)
-        middle = jnp.full((2 * LANES, low.shape[0] - 2), 0.5)
+        across = jnp.repeat((jnp.arange(LANES, dtype=low.dtype) + 0.5) / LANES, 2)
+        along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0], low.dtype), LANES // 2)
+        middle = jnp.full((2 * LANES, low.shape[0] - 2), 0.5, low.dtype)
         corners = low + (high - low) * jnp.concatenate([along[:, None], across[:, None], middle], axis=1)
         return corners, jnp.argmin(jnp.linalg.norm(corners - here, axis=-1))
 

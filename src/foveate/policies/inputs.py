@@ -86,7 +86,7 @@ def pointer_features(observation: Observation, space: Space, length_m: float) ->
         [
             jnp.minimum(left / STEPS_LEFT_UNIT, MAX_STEPS_LEFT),
             jnp.exp(-left / FINAL_STEPS),
-            jnp.sum(observation.present) / TARGETS_UNIT,
+            jnp.sum(observation.present).astype(paper.dtype) / TARGETS_UNIT,
         ]
     )
     parts = [paper, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]

@@ -63,7 +63,8 @@ def draw(
     if targets is not None:
         n = jnp.where(targets > 0, targets, n)
     centre = jnp.array(settings.centre_m)
-    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * n
+    half_side = jnp.array(settings.half_side_m)
+    half_side += settings.half_side_per_target_m * n.astype(half_side.dtype)
     agent_side = settings.agent_test_half_side_m if test else settings.agent_spread * half_side
     steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
     return Drawn(
@@ -126,7 +127,7 @@ def episode_of(
     truth = None
     if with_truth:
         roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
-        pushes = noise.process @ roots[entry] * settings.process_noise
+        pushes = noise.process @ roots[entry] * float(settings.process_noise)
 
         def move(state, step):
             motion, known_input, push = step
@@ -169,7 +170,8 @@ def _with_birth_and_death(
     """Wrap the truth around the scene's box; a target that wraps is absent for one instant and then a new one."""
     assert episode.truth is not None, "birth and death moves the truth"
     states, motion = episode.truth.state, problem.motion
-    half_side = jnp.array(settings.half_side_m) + settings.half_side_per_target_m * jnp.sum(episode.present)
+    half_side = jnp.array(settings.half_side_m)
+    half_side += settings.half_side_per_target_m * jnp.sum(episode.present).astype(half_side.dtype)
     low = jnp.array(settings.centre_m) - half_side
     laps = jnp.floor((motion.position(states) - low) / (2 * half_side))
     states = states - jax.vmap(jax.vmap(motion.state_at))(2 * half_side * laps)

@@ -92,7 +92,8 @@ class Trace(eqx.Module):
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
     """The mean of `values` over the targets that are present; 0 where none is."""
-    return jnp.sum(jnp.where(present, values, 0.0), axis=-1) / jnp.maximum(jnp.sum(present, axis=-1), 1)
+    count = jnp.maximum(jnp.sum(present, axis=-1), 1).astype(values.dtype)
+    return jnp.sum(jnp.where(present, values, 0.0), axis=-1) / count
 
 
 class Protocol(NamedTuple):

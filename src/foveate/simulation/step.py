@@ -195,7 +195,7 @@ def gate_measurements(problem: Problem, protocol: Protocol, draft: Draft) -> Dra
     rejected = sensed.in_view & ~(distance <= protocol.gate)
     restarts = rejected & (rejections + 1 >= gate.RESTART_AFTER)
     measured = (sensed.in_view & ~rejected) | restarts
-    state = replace(draft.state, rejections=jnp.where(measured, 0, rejections + rejected))
+    state = replace(draft.state, rejections=jnp.where(measured, 0, jnp.where(rejected, rejections + 1, rejections)))
     return draft._replace(state=state, measured=measured, restart=Restart(restarts, fresh))
 
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from helpers.commands import failure
 from scipy.spatial.transform import Rotation
 
 from foveate.cli.main import main
@@ -221,8 +222,8 @@ def test_the_example_turns_a_belief_into_a_decision(trained):
     experiment = CASES["pointer"]
     arrays = {
         "pose": pose,
-        "mean": predicted,
-        "information": np.linalg.inv(spread),
+        "mean": np.asarray(predicted, float),
+        "information": np.linalg.inv(np.asarray(spread, float)),
         "present": np.ones(n, bool),
         "known_input": pushes,
         "steps_left": np.array(7),
@@ -251,14 +252,6 @@ def test_the_example_refuses_a_file_of_another_version(trained, tmp_path):
     onnx.save(model, tmp_path / "later.onnx")
     with pytest.raises(ValueError, match=r"later.onnx: not a foveate-policy of version 1"):
         runpy.run_path(str(EXAMPLE))["OnnxPolicy"](str(tmp_path / "later.onnx"))
-
-
-def failure(capsys, *arguments):
-    assert main(arguments) == 2
-    line = capsys.readouterr().err.strip()
-    assert line.startswith("foveate: ")
-    assert "\n" not in line
-    return line
 
 
 def test_wrong_input_is_one_line_and_leaves_nothing(trained, tmp_path, capsys, monkeypatch):

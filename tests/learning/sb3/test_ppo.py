@@ -39,6 +39,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from foveate.learning.sb3.network import ActorAndCritic, Attention, flat_inputs, to_jax
 from foveate.learning.sb3.vec_env import TargetsVecEnv
 
+pytestmark = pytest.mark.torch
+
 WIDTHS = AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,))
 TINY = Experiment(
     scenario=Scenario(scenes=SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))),

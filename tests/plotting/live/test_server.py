@@ -1,20 +1,13 @@
 """The live view: what a written page holds, read back from its own format; pages and clicks in a real Chromium."""
 
 import base64
-import json
 import re
-import shutil
 import socket
-import subprocess
 import sys
-import time
-import urllib.request
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -22,54 +15,19 @@ pytest.importorskip("viser", reason="needs the extra view")
 
 import msgspec
 import zstandard
-from websockets.sync.client import connect
+from helpers.browser import CHROMIUM, Browser, wait_for
+from helpers.commands import failure
+from helpers.episode_data import late_sightings
 
 from foveate.cli.main import main
-from foveate.geometry.space import SPACES
-from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
+from foveate.plotting.episode_data import SUBSTEPS
 from foveate.plotting.live import chart, player, scene
 from foveate.plotting.live import server as view
 from foveate.scenario.scenes import Scene, write_scenes
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-TRIANGLE = np.array([[0.0, 0.0], [2.0, -3.0], [2.0, 3.0], [0.0, 0.0]])
-SQUARE = np.array([[2.0, -1, -1], [2, 1, -1], [2, 1, 1], [2, -1, 1], [2, -1, -1]])
-PYRAMID = (SQUARE, *(np.array([[0.0, 0, 0], corner]) for corner in SQUARE[:4]))
 HOSTILE = "<img src=x> [a](http://b) *c* {d} & _e_ | \\ `f` <b>é"
 """A name that would be more than text in a page's Markdown."""
 GREEN, VERMILLION = (0, 158, 115), (213, 94, 0)
-
-
-def made_up(dimension=2, steps=4, n=3, **changes):
-    """An episode whose beliefs are wide until, from the third instant on, all are seen; of made-up numbers."""
-    rng, d = np.random.default_rng(5), dimension
-    pose = np.cumsum(np.tile([0.8, 0.3, 0.2], (steps + 1, 1)), axis=0)
-    if d == 3:
-        turn = Rotation.from_euler("z", pose[:, 2:]).as_matrix()
-        position, pose = (
-            np.pad(pose[:, :2], ((0, 0), (0, 1)), constant_values=1.0),
-            np.tile(np.eye(4), (steps + 1, 1, 1)),
-        )
-        pose[:, :3, :3], pose[:, :3, 3] = turn, position
-    truth = rng.uniform(-6, 6, (n, d)) + rng.normal(0, 0.1, (steps + 1, n, d)).cumsum(axis=0)
-    root = rng.normal(size=(n, d, d))
-    wide = root @ root.swapaxes(-1, -2) + np.eye(d)
-    late = np.arange(steps + 1) >= 2
-    values = {
-        "title": "made up",
-        "space": SPACES["planar" if d == 2 else "spatial"],
-        "visible": np.tile(late[1:, None], (1, n)),
-        "log_det": np.where(late[1:, None], 6.0, -1.0) + np.arange(n),
-        "times_s": 0.5 * np.arange(steps + 1),
-        "pose": pose,
-        "truth": truth,
-        "estimate": truth + 0.1,
-        "covariance": np.where(late[:, None, None, None], 0.02, 1.0) * wide,
-        "present": np.ones((steps + 1, n), bool),
-        "outline": (TRIANGLE,) if d == 2 else PYRAMID,
-    }
-    return EpisodeData(**{**values, **changes})
 
 
 def messages(page: Path):
@@ -95,7 +53,7 @@ def last_of(played, name, prop):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_page_holds_the_episode(tmp_path, dimension):
     """At its end: the agent where it is, truths and estimates, and 95 % bodies whose axes come from numpy's svd."""
-    data = made_up(dimension)
+    data = late_sightings(dimension)
     view.record(data, tmp_path / "page.html")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
     played = messages(tmp_path / "page.html")
@@ -121,21 +79,21 @@ def test_a_page_holds_the_episode(tmp_path, dimension):
 
 
 def test_facts_and_curves():
-    data = made_up(n=2, present=np.array([[True, True]] * 3 + [[True, False]] * 2))
+    data = late_sightings(n=2, present=np.array([[True, True]] * 3 + [[True, False]] * 2))
     values = chart.curves(data)
     np.testing.assert_allclose(values[:, 0], [-0.5, 6.5, 6.0, 6.0])  # the second one has gone
     np.testing.assert_allclose(values[:, 2], [0.0, 7.0, np.nan, np.nan])
-    assert chart.curves(made_up(n=21)).shape == (4, 1)
+    assert chart.curves(late_sightings(n=21)).shape == (4, 1)
     facts = chart.facts(data, 3 * SUBSTEPS)
     assert facts["score so far"] == "6.00 nat per target"
     assert (facts["time"], facts["step"], facts["seen now"]) == ("1.5 of 2.0 s", "3 of 4", "1 of 1")
     assert "ever seen" not in facts  # a column may serve several, one after the other
-    assert chart.facts(made_up(), 2 * SUBSTEPS)["ever seen"] == "3 of 3"
+    assert chart.facts(late_sightings(), 2 * SUBSTEPS)["ever seen"] == "3 of 3"
     assert facts["of the time"] == "60%"  # 3 of the 5 target-steps so far
     assert chart.facts(data, 0)["score so far"] == "-"
     assert data.moment_at(0.75) == 1.5 * SUBSTEPS
     assert player.usual_speed(data) == 1.0
-    assert player.usual_speed(made_up(times_s=100.0 * np.arange(5))) == 10.0
+    assert player.usual_speed(late_sightings(times_s=100.0 * np.arange(5))) == 10.0
 
 
 def test_meshes():
@@ -145,22 +103,13 @@ def test_meshes():
         a, b, c = mesh[0][mesh[1]].swapaxes(0, 1)
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum()
 
-    assert area(scene.view_mesh(made_up())) == pytest.approx(6.0)
-    assert area(scene.view_mesh(made_up(3))) == pytest.approx(4.0)
+    assert area(scene.view_mesh(late_sightings())) == pytest.approx(6.0)
+    assert area(scene.view_mesh(late_sightings(3))) == pytest.approx(4.0)
     assert area(scene.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
     assert area(scene.ball()) == pytest.approx(4 * np.pi, rel=0.02)
     angle = np.linspace(-2.0, 2.0, 65)  # a sector of more than half a turn, from its apex
     sector = np.concatenate([[[0, 0]], np.column_stack([np.cos(angle), np.sin(angle)]), [[0, 0]]])
     assert area(scene.fan(sector)) == pytest.approx(2.0, rel=1e-3)
-
-
-def failure(capsys, *arguments):
-    """The one line on standard error of a command that ends with 2."""
-    assert main(["view", *map(str, arguments)]) == 2
-    printed = capsys.readouterr()
-    assert not printed.out
-    (line,) = printed.err.splitlines()
-    return line
 
 
 def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
@@ -171,80 +120,22 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        assert f"--port {port}: is in use" in failure(capsys, *few, "--port", port)
-    assert "--port 70000" in failure(capsys, *few, "--port", 70000)
-    assert "ends in .html" in failure(capsys, *few, "--record", tmp_path / "page.htm")
-    assert "expected one of them" in failure(capsys, *few, "--recording", "x.csv")
-    assert f"no such scene in {scenes}: known are a" in failure(capsys, *few, "--scene", "nowhere")
-    assert "--method 'best'" in failure(capsys, *few, "--method", "best")
+        assert f"--port {port}: is in use" in failure(capsys, "view", *few, "--port", port)
+    assert "--port 70000" in failure(capsys, "view", *few, "--port", 70000)
+    assert "ends in .html" in failure(capsys, "view", *few, "--record", tmp_path / "page.htm")
+    assert "expected one of them" in failure(capsys, "view", *few, "--recording", "x.csv")
+    assert f"no such scene in {scenes}: known are a" in failure(capsys, "view", *few, "--scene", "nowhere")
+    assert "--method 'best'" in failure(capsys, "view", *few, "--method", "best")
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert "pip install 'foveate[view]'" in failure(capsys, *few)
-    assert "pip install 'foveate[view]'" in failure(capsys, *few, "--method", "still", "--record", page)
+    assert "pip install 'foveate[view]'" in failure(capsys, "view", *few)
+    assert "pip install 'foveate[view]'" in failure(capsys, "view", *few, "--method", "still", "--record", page)
     assert [path.name for path in tmp_path.iterdir()] == ["scenes.json"]
-
-
-class Browser:
-    """A headless Chromium, spoken to by its debugging protocol."""
-
-    def __init__(self, folder: Path) -> None:
-        port_file = folder / "DevToolsActivePort"
-        arguments = [
-            CHROMIUM,
-            *FLAGS,
-            f"--user-data-dir={folder}",
-            "--remote-debugging-port=0",
-            "--window-size=800,500",
-        ]
-        self._process = subprocess.Popen(
-            [*arguments, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        wait_for(lambda: port_file.exists() and "\n" in port_file.read_text(), self._process)
-        address = f"http://127.0.0.1:{port_file.read_text().split()[0]}/json"
-        pages = []
-
-        def found():
-            pages[:] = [page for page in json.load(urllib.request.urlopen(address)) if page["type"] == "page"]
-            return pages
-
-        wait_for(found, self._process)
-        self._socket, self._count = connect(pages[0]["webSocketDebuggerUrl"], max_size=None), 0
-
-    def ask(self, method, **options):
-        self._count += 1
-        self._socket.send(json.dumps({"id": self._count, "method": method, "params": options}))
-        while (answer := json.loads(self._socket.recv(timeout=120))).get("id") != self._count:
-            pass
-        return answer.get("result", {})
-
-    def run(self, script):
-        return self.ask("Runtime.evaluate", expression=script, returnByValue=True).get("result", {}).get("value")
-
-    def picture(self) -> np.ndarray:
-        found = {}
-        # There is none while a page is being loaded.
-        wait_for(lambda: found.update(self.ask("Page.captureScreenshot")) or "data" in found)
-        data = base64.b64decode(found["data"])
-        return np.asarray(Image.open(BytesIO(data)).convert("RGB")).astype(int)
-
-    def close(self) -> None:
-        self._socket.close()
-        self._process.terminate()
-        self._process.wait(30)
-
-
-def wait_for(happens, process=None, seconds=120.0):
-    """Wait until something happens, while a process lives."""
-    end = time.monotonic() + seconds
-    while not happens():
-        assert time.monotonic() < end, "waited in vain"
-        assert process is None or process.poll() is None, "the browser has ended"
-        time.sleep(0.4)
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     if CHROMIUM is None:
-        pytest.skip("no chromium here")
+        pytest.skip("needs Chromium")
     opened = Browser(tmp_path_factory.mktemp("chromium"))
     yield opened
     opened.close()
@@ -255,9 +146,10 @@ def pixels(picture, color):
     return int((np.abs(picture - np.array(color)).max(axis=-1) < 40).sum())
 
 
+@pytest.mark.browser
 def test_a_written_page_plays_without_a_server(browser, tmp_path):
     """Beliefs in vermillion at first, then in green; how wide each is, the page's messages say (above)."""
-    view.record(made_up(steps=8, n=3, times_s=0.5 * np.arange(9)), tmp_path / "page.html")
+    view.record(late_sightings(steps=8, n=3, times_s=0.5 * np.arange(9)), tmp_path / "page.html")
     browser.ask("Page.navigate", url=(tmp_path / "page.html").as_uri())
     drawn = {VERMILLION: 0, GREEN: 0}
 
@@ -271,17 +163,18 @@ def test_a_written_page_plays_without_a_server(browser, tmp_path):
     wait_for(both)  # it plays over and over
 
 
+@pytest.mark.browser
 def test_a_live_page_follows_its_panel(browser):
     """It shows the score as it accrues; a click in the page stops the clock, another chooses another method."""
     asked = []
 
     def make(scene, method):
         asked.append((scene, method))
-        return made_up(steps=400, n=2, title=f"{method} on {scene} {HOSTILE}")
+        return late_sightings(steps=400, n=2, title=f"{method} on {scene} {HOSTILE}")
 
     source = player.EpisodeSource(scenes=("one", "two"), methods=("nearest", "still"), episode=make)
     with view._server(0) as server:
-        with pytest.raises(OSError, match=r"rejected|unreachable|timed out"):  # at no other address of this machine
+        with pytest.raises(OSError, match=r"refused|unreachable|timed out"):  # at no other address of this machine
             socket.create_connection(("127.0.0.2", server.get_port()), timeout=5)
         panel = player.Player(server, source)
         panel.tick(0.0)
