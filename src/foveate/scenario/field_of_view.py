@@ -1,4 +1,4 @@
-"""Fields of view as plain settings, in the body frame: x ahead, y to the left, z up. Lengths [m], angles [deg]."""
+"""Settings of fields of view, in the body frame: x ahead, y to the left, z up. Lengths [m], angles [deg]."""
 
 import math
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ def _range(near: float, far: float, far_name: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleView:
-    """A triangle with its apex at the agent, opening ahead: depth along the axis, full angle."""
+    """A triangle with its apex at the agent, opening ahead."""
 
     shape: Literal["triangle"] = "triangle"
     depth_m: float = 2.0
-    """From the agent to the far side, along the axis."""
+    """Distance from the agent to the far side, along the axis."""
     angle_deg: float = 120.0
     """Full angle at the agent, below 180."""
     dimension: ClassVar[int] = 2
@@ -40,7 +40,7 @@ class TriangleView:
 
 @dataclass(frozen=True, kw_only=True)
 class SectorView:
-    """A circular sector with its apex at the agent: radius, full angle."""
+    """A circular sector with its apex at the agent, opening ahead."""
 
     shape: Literal["sector"] = "sector"
     depth_m: float = 10.0
@@ -60,11 +60,11 @@ class SectorView:
 
 @dataclass(frozen=True, kw_only=True)
 class PolygonView:
-    """Any convex polygon."""
+    """A convex polygon."""
 
     shape: Literal["polygon"]
     vertices_m: tuple[tuple[float, float], ...]
-    """Corners [x, y] of a convex polygon, in order."""
+    """Corners [x, y], in order."""
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
@@ -82,13 +82,13 @@ class PolygonView:
 
 @dataclass(frozen=True, kw_only=True)
 class BallView:
-    """A disc (two coordinates of its centre) or ball (three): what a sensor of limited range sees all around."""
+    """A disc or ball, of a sensor with limited range in all directions."""
 
     shape: Literal["ball"]
     radius_m: float
     """Range of the sensor."""
     center_m: tuple[float, ...]
-    """Its centre in the body frame."""
+    """Centre in the body frame; two coordinates for a disc, three for a ball."""
 
     def __post_init__(self) -> None:
         positive(self, "radius_m")
@@ -111,7 +111,7 @@ class BallView:
 
 @dataclass(frozen=True, kw_only=True)
 class FrustumView:
-    """What a camera looking ahead sees: between two planes, full angles across and up."""
+    """The view of a camera that looks ahead, between two planes."""
 
     shape: Literal["frustum"]
     near_m: float = 0.3
@@ -131,14 +131,13 @@ class FrustumView:
 
     def view(self) -> fov.FieldOfView:
         """The shape."""
-        return fov_spatial.frustum(
-            self.near_m, self.depth_m, math.radians(self.width_deg), math.radians(self.height_deg)
-        )
+        width, height = math.radians(self.width_deg), math.radians(self.height_deg)
+        return fov_spatial.frustum(self.near_m, self.depth_m, width, height)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConeView:
-    """A cone ahead between two slant ranges, full angle: a radar, a lidar, a searchlight."""
+    """A cone ahead between two slant ranges: a radar, a lidar, a searchlight."""
 
     shape: Literal["cone"]
     near_m: float = 0.0
@@ -160,7 +159,7 @@ class ConeView:
 
 @dataclass(frozen=True, kw_only=True)
 class PrismView:
-    """A shape of the plane without end upwards and downwards: a planar sensor in space."""
+    """A planar shape, unbounded upwards and downwards: a planar sensor in space."""
 
     shape: Literal["prism"]
     base: TriangleView | SectorView | PolygonView
@@ -168,7 +167,7 @@ class PrismView:
 
     @property
     def depth_m(self) -> float:
-        """That of its base [m]."""
+        """Depth of the base [m]."""
         return self.base.depth_m
 
     def view(self) -> fov.FieldOfView:
