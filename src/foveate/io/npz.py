@@ -22,8 +22,7 @@ def save_arrays(path: str | Path, arrays: dict[str, np.ndarray], header: dict[st
     InputError for another header, for arrays that would be read back differently (objects, records, bfloat16) and for
     reserved names ("header" in `arrays`, "digest" in `header`).
     """
-    _check_header(path, header)
-    _check_arrays(path, arrays)
+    _check(path, arrays, header)
     try:
         text = _canonical({**header, _DIGEST: _digest(arrays, header)})
     except ValueError as error:
@@ -73,8 +72,8 @@ def _members(data: bytes) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _check_header(path: str | Path, header: dict[str, Any]) -> None:
-    """Raise InputError for a header that `load_arrays` would reject."""
+def _check(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, Any]) -> None:
+    """Raise InputError for a header that `load_arrays` would reject, or arrays that it would read back differently."""
     kind, version = header.get("format"), header.get("version")
     if not isinstance(kind, str) or not kind.startswith("foveate-"):
         raise file_error(path, f"header format {kind!r}; expected 'foveate-' and the kind of file")
@@ -82,10 +81,6 @@ def _check_header(path: str | Path, header: dict[str, Any]) -> None:
         raise file_error(path, f"header version {version!r}; expected a whole number of 1 or more")
     if _DIGEST in header:
         raise file_error(path, f"the header's key {_DIGEST!r} is taken; choose another name")
-
-
-def _check_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> None:
-    """Raise InputError for arrays that would be read back differently."""
     for name, array in arrays.items():
         if name == _HEADER or "\0" in name:
             raise file_error(path, f"an array cannot be named {name!r}; choose another name")

@@ -38,11 +38,6 @@ class DifferentialDrive:
         require(self.v_min_m_s < self.v_max_m_s, "v_max_m_s", self.v_max_m_s, right)
         positive(self, "w_max_rad_s")
 
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return SPACES[self.space].dimension
-
     def agent(self) -> Agent:
         """The agent with its limits as arrays."""
         w = self.w_max_rad_s
@@ -60,7 +55,7 @@ class Quadrotor:
     """Largest speed up and down."""
     yaw_rate_max_rad_s: float = math.pi / 2
     """Largest turn rate to either side."""
-    dimension: ClassVar[int] = 3
+    space: ClassVar[str] = "spatial"
 
     def __post_init__(self) -> None:
         positive(self, "v_max_m_s", "climb_max_m_s", "yaw_rate_max_rad_s")
@@ -68,7 +63,7 @@ class Quadrotor:
     def agent(self) -> Agent:
         """The agent with its limits as arrays."""
         v, climb, turn = self.v_max_m_s, self.climb_max_m_s, self.yaw_rate_max_rad_s
-        return _agent("spatial", {"vx": (-v, v), "vy": (-v, v), "vz": (-climb, climb), "wz": (-turn, turn)})
+        return _agent(self.space, {"vx": (-v, v), "vy": (-v, v), "vz": (-climb, climb), "wz": (-turn, turn)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +81,7 @@ class FixedWing:
     """Largest turn rate about the axis to the left."""
     yaw_rate_max_rad_s: float = 0.2
     """Largest turn rate about the axis up."""
-    dimension: ClassVar[int] = 3
+    space: ClassVar[str] = "spatial"
 
     def __post_init__(self) -> None:
         positive(self, "v_min_m_s", "roll_rate_max_rad_s", "pitch_rate_max_rad_s", "yaw_rate_max_rad_s")
@@ -97,7 +92,7 @@ class FixedWing:
         """The agent with its limits as arrays."""
         rates = {"wx": self.roll_rate_max_rad_s, "wy": self.pitch_rate_max_rad_s, "wz": self.yaw_rate_max_rad_s}
         turns = {name: (-rate, rate) for name, rate in rates.items()}
-        return _agent("spatial", {"vx": (self.v_min_m_s, self.v_max_m_s), **turns})
+        return _agent(self.space, {"vx": (self.v_min_m_s, self.v_max_m_s), **turns})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,11 +120,6 @@ class FreeBody:
             require(len(limits) == count, name, limits, f"expected {count} numbers, one for each of axes")
         below = all(low < high for low, high in zip(self.lower, self.upper, strict=True))
         require(below, "upper", self.upper, f"expected > lower {self.lower} on every axis")
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return SPACES[self.space].dimension
 
     def agent(self) -> Agent:
         """The agent with its limits as arrays."""

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from foveate.geometry import fov, fov_planar, fov_spatial
 from foveate.io.validate import positive, require
@@ -27,7 +27,6 @@ class TriangleView:
     """Distance from the agent to the far side, along the axis."""
     angle_deg: float = 120.0
     """Full angle at the agent, below 180."""
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         positive(self, "depth_m")
@@ -47,7 +46,6 @@ class SectorView:
     """Radius."""
     angle_deg: float = 90.0
     """Full angle, up to 360."""
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         positive(self, "depth_m")
@@ -65,7 +63,6 @@ class PolygonView:
     shape: Literal["polygon"]
     vertices_m: tuple[tuple[float, float], ...]
     """Corners [x, y], in order."""
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         fov_planar.polygon(self.vertices_m)
@@ -95,11 +92,6 @@ class BallView:
         require(len(self.center_m) in (2, 3), "center_m", self.center_m, "expected 2 or 3 numbers")
 
     @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return len(self.center_m)
-
-    @property
     def depth_m(self) -> float:
         """Largest distance from the agent to a point of the view [m]."""
         return math.hypot(*self.center_m) + self.radius_m
@@ -122,7 +114,6 @@ class FrustumView:
     """Full angle across."""
     height_deg: float = 60.0
     """Full angle up and down."""
-    dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         _range(self.near_m, self.depth_m, "depth_m")
@@ -146,7 +137,6 @@ class ConeView:
     """Farthest slant range."""
     angle_deg: float = 60.0
     """Full angle, up to 360."""
-    dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         _range(self.near_m, self.depth_m, "depth_m")
@@ -163,7 +153,6 @@ class PrismView:
 
     shape: Literal["prism"]
     base: TriangleView | SectorView | PolygonView
-    dimension: ClassVar[int] = 3
 
     @property
     def depth_m(self) -> float:

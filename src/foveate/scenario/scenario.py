@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.geometry.space import SPACES
 from foveate.io.validate import Matrix, matrix, positive, representable, require
 from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
@@ -34,8 +35,8 @@ class Scenario:
         positive(self, "tau_s")
         representable(self)
         d = self.dimension
-        right = f"expected a shape in {d} dimensions, as the agent's"
-        require(self.view.dimension == d, "view.shape", self.view.shape, right)
+        is_view_of_space = self.view.view().dimension == d
+        require(is_view_of_space, "view.shape", self.view.shape, f"expected a shape in {d} dimensions, as the agent's")
         require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
         self._check_matrices()
         problem = self.problem()
@@ -74,7 +75,7 @@ class Scenario:
     @property
     def dimension(self) -> int:
         """Dimension of space."""
-        return self.agent.dimension
+        return SPACES[self.agent.space].dimension
 
     def problem(self) -> Problem:
         """The scenario as arrays, for simulation."""
