@@ -32,10 +32,11 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
     if isinstance(learner, PPOSettings) and old.objective != "terminal":
         raise InputError(f"training.objective = {old.objective!r}: expected 'terminal', the only objective of PPO")
     kept = {"objective", *(each.name for each in fields(LearningSettings))} & {each.name for each in fields(learner)}
-    training, policy = replace(learner, **{n: getattr(old, n) for n in kept if hasattr(old, n)}), experiment.policy
-    if not isinstance(learner, ActorCriticSettings):
-        policy = AttentionSettings() if isinstance(policy, PointerSettings) else policy
-    elif not isinstance(policy, PointerSettings):
+    training = replace(learner, **{name: getattr(old, name) for name in kept if hasattr(old, name)})
+    if isinstance(learner, ActorCriticSettings) == isinstance(experiment.policy, PointerSettings):
+        return replace(experiment, training=training)
+    policy = AttentionSettings()
+    if isinstance(learner, ActorCriticSettings):
         length_m = POINTER_LENGTH_DEPTHS * float(experiment.scenario.view.depth_m)
         policy = PointerSettings(kind="pointer", length_m=length_m)
     return replace(experiment, policy=policy, training=training)

@@ -50,9 +50,9 @@ class LearningSettings(ValidationSettings):
 class TrainingSettings(LearningSettings):
     """Settings of the policy gradient.
 
-    An epoch is a step of Adam on the mean of `episodes` new episodes, its gradient's norm bounded at `gradient_bound`.
-    `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"), or the share of
-    time in view ("seen"). The policy is validated every `check_every` epochs.
+    An epoch (of `epochs` in all) is a step of Adam with `learning_rate` on the mean of `episodes` new episodes, its
+    gradient's norm bounded at `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean
+    over the steps ("mean"), or the share of time in view ("seen"). The policy is validated every `check_every` epochs.
 
     At most `micro_batch` episodes are simulated at once on each device (None: those of 256 targets on a core of a CPU,
     more elsewhere); this bounds memory, and changes rounding only. So does `segment`, rematerialisation for long
@@ -65,12 +65,10 @@ class TrainingSettings(LearningSettings):
     updates: ClassVar[int] = 1
     """Steps of Adam in an epoch."""
     epochs: int = 1000
-    """Steps of Adam."""
     episodes: int = 60
     learning_rate: float = 3e-4
-    """Learning rate of Adam."""
     schedule: Literal["constant", "cosine"] = "constant"
-    """Constant, or falling to 0 as a cosine."""
+    """Learning rate constant, or falling to 0 as a cosine."""
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
     check_every: int = 50
@@ -95,10 +93,14 @@ class PPOSettings(LearningSettings):
 
     The defaults are Stable-Baselines3's, but for the shape of a rollout, of the same size (64 x 32 for 1 x 2048), and
     the network, which is `AttentionPolicy`. In an iteration `environments` take `rollout_steps` steps each, and Adam
-    updates on them for `passes` epochs in minibatches of `batch`, until `steps` environment steps are done in all. The
-    reward is the growth of the mean log det per target, times `reward_scale`; the terminal state has no value.
+    updates on them for `passes` epochs in minibatches of `batch`; there are `steps` environment steps in all. Adam has
+    a `learning_rate` and gradients of norm up to `gradient_bound`, and the ratio of probabilities is clipped to
+    1 +- `clip`. Advantages are estimated with a `discount` per step and `gae_lambda`. The policy is validated every
+    `check_every` steps.
+
+    The reward is the growth of the mean log det per target, times `reward_scale`; the terminal state has no value.
     `log_std` is the log of the initial action std. With `critic_sees_time` the value network, which is discarded after
-    training, has the steps left as a feature. The policy is validated every `check_every` steps.
+    training, has the steps left as a feature.
     """
 
     objective: ClassVar[Objective] = "terminal"
@@ -109,21 +111,16 @@ class PPOSettings(LearningSettings):
     batch: int = 64
     passes: int = 10
     learning_rate: float = 3e-4
-    """Learning rate of Adam."""
     schedule: Literal["constant", "linear"] = "constant"
-    """Constant, or falling linearly to 0."""
+    """Learning rate constant, or falling linearly to 0."""
     discount: float = 0.99
-    """Discount of rewards per step."""
     gae_lambda: float = 0.95
-    """Lambda of generalised advantage estimation."""
     clip: float = 0.2
-    """Largest deviation of the ratio of probabilities from 1."""
     value_weight: float = 0.5
     """Weight of the value network's loss."""
     entropy_weight: float = 0.0
     """Weight of the actions' entropy."""
     gradient_bound: float = 0.5
-    """Largest norm of a gradient."""
     log_std: float = 0.0
     reward_scale: float = 1.0
     critic_sees_time: bool = False
@@ -148,9 +145,13 @@ class ActorCriticSettings(ValidationSettings):
     An iteration (of `epochs` in all) simulates `episodes` new episodes, split evenly among the `protocols`, and samples
     a mode by its weight and a Gaussian about its action. The Gaussian's standard deviation falls linearly from the
     first `action_std` to the last at the end of training. Then Adam updates on all steps for `passes` epochs of
-    `minibatches` each. The return is the growth of log det per target ("terminal"), its mean over the steps ("mean") or
-    the share of time in view ("seen"), undiscounted, with no value after the horizon. Both learning rates fall to 0 as
-    a cosine. The policy is validated every `check_every` iterations.
+    `minibatches` each. The `learning_rate` of the policy and the `critic_learning_rate` fall to 0 as a cosine,
+    gradients have norms up to `gradient_bound`, and the ratio of probabilities is clipped to 1 +- `clip`. The policy is
+    validated every `check_every` iterations.
+
+    The return (`objective`) is the growth of log det per target ("terminal"), its mean over the steps ("mean") or the
+    share of time in view ("seen"). It is undiscounted, with no value after the horizon; advantages are estimated with
+    `gae_lambda`.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
@@ -158,23 +159,16 @@ class ActorCriticSettings(ValidationSettings):
     protocols: tuple[ProtocolName, ...] = ("true",)
     select: ProtocolName = "true"
     objective: Objective = "terminal"
-    """The return of an episode."""
     epochs: int = 500
-    """Iterations."""
     episodes: int = 256
     passes: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
-    """Initial learning rate of Adam for the policy."""
     critic_learning_rate: float = 1e-3
-    """Initial learning rate of Adam for the critic."""
     gradient_bound: float = 0.5
-    """Largest norm of a gradient."""
     action_std: tuple[float, float] = (0.4, 0.06)
     gae_lambda: float = 0.95
-    """Lambda of generalised advantage estimation."""
     clip: float = 0.2
-    """Largest deviation of the ratio of probabilities from 1."""
     entropy_weight: float = 0.003
     """Weight of the modes' entropy."""
     check_every: int = 10

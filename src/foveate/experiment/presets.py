@@ -48,9 +48,7 @@ PRESETS = {
             action_std=(0.4, 0.04),
         ),
     ),
-    "true-view": Experiment(
-        policy=PointerSettings(kind="pointer"), training=ActorCriticSettings(algorithm="actor-critic")
-    ),
+    "true-view": Experiment(policy=POINTER, training=ACTOR_CRITIC),
     # First means err by as much as the beliefs claim: the agent must search for a target around its mean.
     "search": Experiment(
         scenario=Scenario(

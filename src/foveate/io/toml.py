@@ -57,9 +57,8 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
 def _has_long_key(text: str) -> bool:
     """Detect keys on which Python's parser would spend days: its time grows with the square of a key's parts."""
     lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
-    return len(_QUOTED.findall(lines)) > 10 * MAX_KEY_PARTS or any(
-        part.count(".") > MAX_KEY_PARTS for part in _PIECES.split(lines)
-    )
+    is_long = any(piece.count(".") > MAX_KEY_PARTS for piece in _PIECES.split(lines))
+    return is_long or len(_QUOTED.findall(lines)) > 10 * MAX_KEY_PARTS
 
 
 def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
@@ -96,14 +95,12 @@ def _digest(table: dict[str, Any]) -> str:
 
 def _toml_lines(table: dict[str, Any], path: str) -> Iterator[str]:
     """Lines of a table: plain keys first, since all that follows a heading belongs to the heading."""
-    for key, value in table.items():
-        if not isinstance(value, dict):
-            yield f"{_toml_key(key)} = {_toml_value(value)}"
-    for key, value in table.items():
+    for key, value in sorted(table.items(), key=lambda item: isinstance(item[1], dict)):
         if isinstance(value, dict):
             heading = f"{path}.{_toml_key(key)}" if path else _toml_key(key)
-            yield from ("", f"[{heading}]")
-            yield from _toml_lines(value, heading)
+            yield from ("", f"[{heading}]", *_toml_lines(value, heading))
+        else:
+            yield f"{_toml_key(key)} = {_toml_value(value)}"
 
 
 def _toml_key(name: str) -> str:

@@ -103,13 +103,11 @@ class BallView:
 
 @dataclass(frozen=True, kw_only=True)
 class FrustumView:
-    """The view of a camera that looks ahead, between two planes."""
+    """The view of a camera that looks ahead, between planes at `near_m` and `depth_m`."""
 
     shape: Literal["frustum"]
     near_m: float = 0.3
-    """Nearest plane."""
     depth_m: float = 6.0
-    """Farthest plane."""
     width_deg: float = 90.0
     """Full angle across."""
     height_deg: float = 60.0
@@ -128,13 +126,11 @@ class FrustumView:
 
 @dataclass(frozen=True, kw_only=True)
 class ConeView:
-    """A cone ahead between two slant ranges: a radar, a lidar, a searchlight."""
+    """A cone ahead between slant ranges `near_m` and `depth_m`: a radar, a lidar, a searchlight."""
 
     shape: Literal["cone"]
     near_m: float = 0.0
-    """Nearest slant range."""
     depth_m: float = 6.0
-    """Farthest slant range."""
     angle_deg: float = 60.0
     """Full angle, up to 360."""
 

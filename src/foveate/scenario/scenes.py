@@ -20,39 +20,35 @@ from foveate.names import InitialError
 class SceneSettings:
     """Distribution of training scenes, and settings of an episode.
 
-    Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` with half side
-    `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
-    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in [-drift_m_s, drift_m_s] per
-    axis, one for all targets of a scene (`shared_drift`) or each its own. Targets that are positions driven by an input
-    get a new jitter, uniform in [-jitter_m_s, jitter_m_s], added at each step; for other kinds the drift is the first
-    velocity. `known_drift`: the agent knows these inputs (the paper: yes). `process_noise`: targets also move by
-    N(0, W). `birth_and_death`: in training, a target that leaves the box is replaced by a new one that enters on the
-    opposite side. Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at range
-    0 ("paper": smaller errors than the belief claims), or sampled from the first belief ("consistent").
+    Targets: n uniform on `targets_min` .. `targets_max` (a policy takes any number), positions uniform in a box about
+    `centre_m` with half side `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that
+    box in training, within `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
+    [-d, d] on each axis, d = `drift_m_s`, one for all targets of a scene (`shared_drift`) or each its own. Targets that
+    are positions driven by an input get a new jitter, uniform in [-j, j], j = `jitter_m_s`, added at each step; for
+    other kinds the drift is the first velocity. `known_drift`: the agent knows these inputs (the paper: yes).
+    `process_noise`: targets also move by N(0, W). `birth_and_death`: in training, a target that leaves the box is
+    replaced by a new one that enters on the opposite side. Horizon: `steps`, or `steps_per_target` n. `initial_error`
+    of the first mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
+    from the first belief ("consistent").
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}
     targets_min: int = 3
-    """Fewest targets of a scene."""
     targets_max: int = 8
-    """Most targets of a scene in training; a policy takes any number."""
     centre_m: tuple[float, ...] = (0.0, 0.0)
     half_side_m: tuple[float, ...] = (0.0, 0.0)
     half_side_per_target_m: float = 2.0
     agent_spread: float = 1.25
     agent_test_half_side_m: float = 2.0
     drift_m_s: tuple[float, ...] = (0.8, 0.8)
-    """Largest drift on each axis."""
     shared_drift: bool = True
     known_drift: bool = True
     process_noise: bool = True
     birth_and_death: bool = False
     jitter_m_s: float = 0.5
-    """Largest change of the drift at a step, on each axis."""
     steps_per_target: int = 3
     steps: int | None = None
     initial_error: InitialError = "paper"
-    """Error of the first means."""
 
     def __post_init__(self) -> None:
         at_least(1, self, "targets_min", "steps_per_target", "steps")

@@ -12,8 +12,8 @@ class SensorSettings:
 
     `std_m` is the standard deviation of a measured position [m]; `V` replaces it by a full covariance, `H` measures
     another part of the state. V is given in `frame`; the standard deviation grows with the range r [m] by the factor
-    1 + range_growth_per_m r. With `missed_detections = "used"` the Kalman filter also learns from targets that were not
-    detected inside the view; without, from measurements alone.
+    1 + `range_growth_per_m` r. With `missed_detections` "used" the Kalman filter also learns from targets that were not
+    detected inside the view (models/missed_detection.py); without, from measurements alone.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"absence": "missed_detections"}
@@ -22,9 +22,7 @@ class SensorSettings:
     H: Matrix | None = None
     frame: Literal["world", "body"] = "world"
     range_growth_per_m: float = 0.0
-    """0 if noise does not depend on the range."""
     missed_detections: Literal["used"] | None = None
-    """Use of missed detections by the filter; see models/missed_detection.py."""
 
     def __post_init__(self) -> None:
         positive(self, "std_m")

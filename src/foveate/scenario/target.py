@@ -189,20 +189,17 @@ def _density(intensity: float, Q: Matrix | None, dimension: int) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class LinearTarget:
-    """A linear-Gaussian target y' = A y + B xi + w, position Z y, covariance of the first belief `prior`.
+    """A linear-Gaussian target y' = A y + B xi + w, w ~ N(0, W), position Z y.
 
-    The matrices are those of one step of any length.
+    `A` (n_y x n_y), `B` (n_y x m_y), `W` (n_y x n_y, semidefinite) and `Z` (d x n_y, of rank d) are those of one step
+    of any length; `prior` (n_y x n_y) is the covariance of the first belief.
     """
 
     kind: Literal["linear"]
     A: Matrix
-    """n_y x n_y."""
     B: Matrix
-    """n_y x m_y."""
     W: Matrix
-    """n_y x n_y, semidefinite."""
     Z: Matrix
-    """d x n_y, of rank d."""
     prior: Matrix
 
     def __post_init__(self) -> None:
