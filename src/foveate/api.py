@@ -81,7 +81,8 @@ def train(
     if resume and out is None:
         raise InputError("resume: expected out, the run folder to go on with")
     experiment = for_scenario(world, like) if isinstance(world, Scenario) else experiment_from(world)
-    experiment = for_long_horizons(adjusted(experiment, algorithm, epochs, episodes, steps), remat, window)
+    experiment = adjusted(experiment, algorithm, epochs=epochs, episodes=episodes, steps=steps)
+    experiment = for_long_horizons(experiment, remat, window)
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
             return _trained(experiment, Path(folder) / "run", "a policy", seed, resume, progress)

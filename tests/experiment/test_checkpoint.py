@@ -94,7 +94,7 @@ def saved(tmp_path, policy):
     [
         ({**WIDTHS, "agent_widths": (2, 4)}, "agent_layers.0.weight has shape (3, 3): expected (2, 3)"),
         ({**WIDTHS, "out_widths": (3, 3)}, "no array 'out_layers.2.bias'"),
-        ({**WIDTHS, "agent_widths": (4,)}, "array 'agent_layers.1.bias' has no place here"),
+        ({**WIDTHS, "agent_widths": (4,)}, "unknown array 'agent_layers.1.bias'"),
     ],
 )
 def test_another_network(saved, changes, words):

@@ -130,7 +130,7 @@ def test_changed_content_with_right_checksums_is_rejected(tmp_path: Path) -> Non
 
 def test_another_kind_and_a_newer_version_are_rejected(tmp_path: Path) -> None:
     path = saved(tmp_path)
-    assert "has the format 'foveate-policy'; wanted 'foveate-scenes'" in rejection(path, kind="scenes")
+    assert "has the format 'foveate-policy'; expected 'foveate-scenes'" in rejection(path, kind="scenes")
     assert "has version 2; this foveate reads 1 to 1" in rejection(path, newest=1)
 
 
@@ -155,8 +155,8 @@ def test_a_header_that_is_no_table_is_rejected(tmp_path: Path, text: bytes) -> N
 def test_a_version_that_is_no_whole_number_is_rejected(tmp_path: Path, version: Any) -> None:
     text = f'{{"format": "foveate-policy", "version": {"null" if version is None else repr(version).lower()}}}'
     np.savez(tmp_path / "odd.npz", header=np.frombuffer(text.replace("'", '"').encode(), np.uint8))
-    assert "wanted a whole number from 1 to 2" in rejection(tmp_path / "odd.npz")
-    with pytest.raises(ValueError, match="wanted a whole number of 1 or more"):
+    assert "expected a whole number from 1 to 2" in rejection(tmp_path / "odd.npz")
+    with pytest.raises(ValueError, match="expected a whole number of 1 or more"):
         save_arrays(tmp_path / "odd.npz", {}, {**HEADER, "version": version})
 
 
@@ -201,9 +201,9 @@ def test_archives_that_unpack_to_more_than_they_are_are_rejected(tmp_path: Path)
     [
         ({"header": np.ones(1)}, {}, "an array cannot be named 'header'"),
         ({"a\0b": np.ones(1)}, {}, "an array cannot be named"),
-        ({"a": np.array([None])}, {}, "has the type object; wanted a plain number"),
-        ({"a": np.zeros(1, [("x", float)])}, {}, "wanted a plain number"),
-        ({}, {"format": "numpy"}, "header format 'numpy'; wanted 'foveate-'"),
+        ({"a": np.array([None])}, {}, "has the type object; expected a plain number"),
+        ({"a": np.zeros(1, [("x", float)])}, {}, "expected a plain number"),
+        ({}, {"format": "numpy"}, "header format 'numpy'; expected 'foveate-'"),
         ({}, {"digest": "0"}, "the header's key 'digest' is taken"),
         ({}, {"score": float("nan")}, "the header cannot be written"),
     ],
@@ -219,5 +219,5 @@ def test_saving_refuses_what_would_not_come_back(
 def test_bfloat16_is_refused_because_npy_forgets_it(tmp_path: Path) -> None:
     import ml_dtypes
 
-    with pytest.raises(ValueError, match="'a' has the type bfloat16; wanted a plain number"):
+    with pytest.raises(ValueError, match="'a' has the type bfloat16; expected a plain number"):
         save_arrays(tmp_path / "a.npz", {"a": np.ones(2, ml_dtypes.bfloat16)}, HEADER)

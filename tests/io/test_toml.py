@@ -31,7 +31,7 @@ class Ball:
 
     def __post_init__(self) -> None:
         if self.radius <= 0:
-            raise ValueError(f"radius = {self.radius}: wanted a positive number\nof metres")
+            raise InputError(f"radius = {self.radius}: expected a positive number\nof metres")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,45 +167,45 @@ def test_keys_left_out_take_their_defaults(tmp_path: Path) -> None:
         ("step = 3", "step = 3: unknown key; did you mean steps?"),
         ("zzz = 3", "zzz = 3: unknown key; known are steps, drifting, tau"),
         ("steps = 1\n[agent]\nlimit = 3", "agent.limit = 3: unknown key; did you mean limits?"),
-        ("tau = 1.0", "steps: is missing; wanted a whole number"),
-        ("steps = 1.0", "steps = 1.0: wanted a whole number"),
-        ("steps = true", "steps = True: wanted a whole number"),
-        ("tau = true", "tau = True: wanted a finite number"),
-        ("tau = '1'", "tau = '1': wanted a finite number"),
-        ("tau = nan", "tau = nan: wanted a finite number"),
-        ("tau = -inf", "tau = -inf: wanted a finite number"),
-        ("tau = 1979-05-27", "tau = datetime.date(1979, 5, 27): wanted a finite number"),
-        (f"tau = {'9' * 400}", f"tau = {'9' * 57}...: wanted a finite number"),
-        (f"tau = 0x{'f' * 5000}", "tau = a number of thousands of digits: wanted a finite number"),
-        ("drifting = 1", "drifting = 1: wanted true or false"),
-        ("frame = 'bdy'", "frame = 'bdy': wanted one of 'body', 'world'"),
-        ("mixed = 1.0", "mixed = 1.0: wanted one of 1, True, 'all'"),
-        ("agent = 3", "agent = 3: wanted a table"),
-        ("[agent]\nname = 3", "agent.name = 3: wanted a text in quotes"),
-        ("[agent]\nlimits = [1, 2, 3]", "agent.limits = [1, 2, 3]: wanted a list of 2 values"),
-        ("[agent]\nlimits = 1", "agent.limits = 1: wanted a list of 2 values, each a finite number"),
-        ("[agent]\nlimits = [0, 'x']", "agent.limits[1] = 'x': wanted a finite number"),
-        ("noise = 1", "noise = 1: wanted a list of values, each a list of values, each a finite number"),
-        ("noise = [[1], [2, inf]]", "noise[1][1] = inf: wanted a finite number"),
-        ("[agent]\nview = 'ball'", "agent.view = 'ball': wanted a table"),
+        ("tau = 1.0", "steps: is missing; expected a whole number"),
+        ("steps = 1.0", "steps = 1.0: expected a whole number"),
+        ("steps = true", "steps = True: expected a whole number"),
+        ("tau = true", "tau = True: expected a finite number"),
+        ("tau = '1'", "tau = '1': expected a finite number"),
+        ("tau = nan", "tau = nan: expected a finite number"),
+        ("tau = -inf", "tau = -inf: expected a finite number"),
+        ("tau = 1979-05-27", "tau = datetime.date(1979, 5, 27): expected a finite number"),
+        (f"tau = {'9' * 400}", f"tau = {'9' * 57}...: expected a finite number"),
+        (f"tau = 0x{'f' * 5000}", "tau = a number of thousands of digits: expected a finite number"),
+        ("drifting = 1", "drifting = 1: expected true or false"),
+        ("frame = 'bdy'", "frame = 'bdy': expected one of 'body', 'world'"),
+        ("mixed = 1.0", "mixed = 1.0: expected one of 1, True, 'all'"),
+        ("agent = 3", "agent = 3: expected a table"),
+        ("[agent]\nname = 3", "agent.name = 3: expected a text in quotes"),
+        ("[agent]\nlimits = [1, 2, 3]", "agent.limits = [1, 2, 3]: expected a list of 2 values"),
+        ("[agent]\nlimits = 1", "agent.limits = 1: expected a list of 2 values, each a finite number"),
+        ("[agent]\nlimits = [0, 'x']", "agent.limits[1] = 'x': expected a finite number"),
+        ("noise = 1", "noise = 1: expected a list of values, each a list of values, each a finite number"),
+        ("noise = [[1], [2, inf]]", "noise[1][1] = inf: expected a finite number"),
+        ("[agent]\nview = 'ball'", "agent.view = 'ball': expected a table"),
         (
             "[agent.view]\ndepth = 1",
-            "agent.view.shape: is missing; wanted one of 'triangle', 'wedge', 'ball'",
+            "agent.view.shape: is missing; expected one of 'triangle', 'wedge', 'ball'",
         ),
         (
             "[agent.view]\nshape = 'bal'",
-            "agent.view.shape = 'bal': wanted one of 'triangle', 'wedge', 'ball'",
+            "agent.view.shape = 'bal': expected one of 'triangle', 'wedge', 'ball'",
         ),
-        ("[agent.view]\nshape = ['ball']", "agent.view.shape = ['ball']: wanted one of 'triangle'"),
-        ("[agent.view]\nshape = 'ball'", "agent.view.radius: is missing; wanted a finite number"),
+        ("[agent.view]\nshape = ['ball']", "agent.view.shape = ['ball']: expected one of 'triangle'"),
+        ("[agent.view]\nshape = 'ball'", "agent.view.radius: is missing; expected a finite number"),
         ("[agent.view]\nshape = 'ball'\ndepth = 1", "agent.view.depth = 1: unknown key; known are shape"),
         (
             "[agent.view]\nshape = 'ball'\nradius = -1",
-            "agent.view: radius = -1.0: wanted a positive number of metres",
+            "agent.view: radius = -1.0: expected a positive number of metres",
         ),
         (
             "boxes = [{shape = 'box', corners = [[1]]}]",
-            "boxes[0].corners[0] = [1]: wanted a list of 2 values",
+            "boxes[0].corners[0] = [1]: expected a list of 2 values",
         ),
         ("tau = 1 2", "is not TOML: "),
         ("tau = ", "is not TOML: "),
@@ -234,15 +234,15 @@ def test_unreadable_files_are_named_in_one_line(tmp_path: Path) -> None:
 
 
 def test_a_refusal_of_the_whole_names_the_source_alone() -> None:
-    with pytest.raises(ValueError, match=r"^flags: radius = 0\.0: wanted a positive number of metres$"):
+    with pytest.raises(ValueError, match=r"^flags: radius = 0\.0: expected a positive number of metres$"):
         from_table(Ball, {"radius": 0}, "flags")
 
 
 @pytest.mark.parametrize(
     ("instance", "problem"),
     [
-        (Triangle(depth=math.nan), r"Triangle: depth = nan: wanted a finite number"),
-        (Agent(view=Triangle(depth=math.inf)), r"Agent: view\.depth = inf: wanted a finite number"),
+        (Triangle(depth=math.nan), r"Triangle: depth = nan: expected a finite number"),
+        (Agent(view=Triangle(depth=math.inf)), r"Agent: view\.depth = inf: expected a finite number"),
     ],
 )
 def test_writing_refuses_what_could_not_be_read(instance: Any, problem: str) -> None:
@@ -259,7 +259,7 @@ def test_none_is_written_only_where_leaving_out_means_none() -> None:
     assert to_table(Limited()) == {"top": 1.0, "each": []}
     with pytest.raises(ValueError, match="Limited: would read back otherwise; None can be written only"):
         to_table(Limited(top=None))
-    with pytest.raises(ValueError, match=r"Limited: each\[0\] = None: wanted a number"):
+    with pytest.raises(ValueError, match=r"Limited: each\[0\] = None: expected a number"):
         to_table(Limited(each=(None,)))
 
 
@@ -289,7 +289,7 @@ def test_one_member_of_a_union_may_lack_the_tag() -> None:
     for each in (After(part=Old(mode="b")), After(part=New(kind="new"))):
         assert from_table(After, to_table(each), "test") == each
     assert digest(After()) == digest(Before())
-    with pytest.raises(ValueError, match=r"part\.kind = 'old': wanted 'new'"):
+    with pytest.raises(ValueError, match=r"part\.kind = 'old': expected 'new'"):
         from_table(After, {"part": {"kind": "old"}}, "test")
     with pytest.raises(ValueError, match=r"part\.count = 3: unknown key"):
         from_table(After, {"part": {"kind": "new", "count": 3}}, "test")
@@ -332,7 +332,7 @@ def test_old_key_is_read_as_the_new_one(tmp_path: Path) -> None:
     assert load_toml(HoldsRenamed, path) == HoldsRenamed(view=Renamed(width=3.0))
     assert "width = 3.0" in dumps_toml(load_toml(HoldsRenamed, path))
     path.write_text("[view]\nbreadth = 'x'\n")
-    with pytest.raises(InputError, match=r"view\.width = 'x': wanted a finite number"):
+    with pytest.raises(InputError, match=r"view\.width = 'x': expected a finite number"):
         load_toml(HoldsRenamed, path)
 
 

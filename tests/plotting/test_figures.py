@@ -340,10 +340,10 @@ def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
     file.write_text(whole[:-20])
     assert len(figures.read_validations(file)) == 2
     file.write_text("{}\n" + whole)
-    with pytest.raises(ValueError, match="line 1: not a check"):
+    with pytest.raises(ValueError, match="line 1: not a validation"):
         figures.read_validations(file)
     file.write_text("")
-    with pytest.raises(ValueError, match="no check in it yet"):
+    with pytest.raises(ValueError, match="no validation in it yet"):
         figures.read_validations(file)
 
 

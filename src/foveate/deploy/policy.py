@@ -15,7 +15,7 @@ from foveate.deploy.belief import Belief, observation, predicted
 from foveate.deploy.onnx.export import export
 from foveate.errors import InputError
 from foveate.experiment.checkpoint import save_tree, write_config
-from foveate.experiment.experiment import Experiment
+from foveate.experiment.resolve import Trained
 from foveate.experiment.run_folder import BEST
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
@@ -28,7 +28,7 @@ LEAST = 8
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class TrainedPolicy:
+class TrainedPolicy(Trained):
     """A policy, the world that it was trained for, and how that went; from `foveate.load` or `foveate.train`.
 
         command = policy(belief, pose)
@@ -37,9 +37,6 @@ class TrainedPolicy:
     `facts` what is known of that (seed, epoch and held-out score of what was kept).
     """
 
-    name: str
-    experiment: Experiment
-    network: Policy
     facts: dict[str, Any]
 
     @property

@@ -1,1 +1,1 @@
-"""What defines a training: its settings, presets, checkpoints and run folder."""
+"""Experiments: settings, presets, checkpoints and run folders."""

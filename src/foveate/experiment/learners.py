@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from foveate.io.validate import MOST_THINGS, not_negative, positive, require
+from foveate.io.validate import MAX_COUNT, at_least, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.names import Objective, ProtocolName
 from foveate.simulation.records import Backpropagation, Protocol
@@ -11,16 +11,16 @@ from foveate.simulation.records import Backpropagation, Protocol
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationSettings:
-    """Validation of a policy in training: on `held_out` scenes that never train it; the best by `select` is kept."""
+    """Validation in training on `held_out` scenes that are not trained on; the best policy by `select` is kept."""
 
     select: ProtocolName = "surrogate"
     held_out: int = 240
 
     def __post_init__(self) -> None:
-        require(self.held_out >= 1, "held_out", self.held_out, "expected >= 1")
+        at_least(1, self, "held_out")
         for name in ("held_out", "episodes", "environments", "rollout_steps", "batch", "segment", "window"):
             size = getattr(self, name, None)  # each learner has some of them
-            require(size is None or size <= MOST_THINGS, name, size, f"expected <= {MOST_THINGS}")
+            require(size is None or size <= MAX_COUNT, name, size, f"expected <= {MAX_COUNT}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +28,8 @@ class LearningSettings(ValidationSettings):
     """Settings shared by the learners of the soft view.
 
     `softness` lists the levels (offset, kappa [m]) of the soft field of view, hardest last: the objective is the mean
-    over levels, and the policy sees the last. With `noise`, targets move and are measured as in the real world, means
-    are corrected, and the soft view is taken at the truth; without (the paper), the mean is the truth.
+    over levels, and the policy observes the last. With `noise`, motion and measurements are noisy, the filter corrects
+    its means, and the soft view is that of the true positions; without (the paper), the mean is the truth.
     """
 
     softness: tuple[tuple[float, float], ...] = ((PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa),)
@@ -42,7 +42,7 @@ class LearningSettings(ValidationSettings):
 
     @property
     def protocol(self) -> Protocol:
-        """Protocol of training: the source of information."""
+        """Source of information in training."""
         return Protocol(levels=tuple(Softness(*level) for level in self.softness), at_truth=self.noise)
 
 
@@ -50,27 +50,25 @@ class LearningSettings(ValidationSettings):
 class TrainingSettings(LearningSettings):
     """Settings of the policy gradient.
 
-    One epoch is one step of Adam on the mean of `episodes` fresh episodes, its gradient's norm bounded at
-    `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean over the steps ("mean"),
-    or the share of time in view ("seen"). The policy is validated every `check_every` epochs.
+    An epoch (of `epochs` in all) is a step of Adam with `learning_rate` on the mean of `episodes` new episodes, its
+    gradient's norm bounded at `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean
+    over the steps ("mean"), or the share of time in view ("seen"). The policy is validated every `check_every` epochs.
 
     At most `micro_batch` episodes are simulated at once on each device (None: those of 256 targets on a core of a CPU,
     more elsewhere); this bounds memory, and changes rounding only. So does `segment`, rematerialisation for long
     horizons: an episode stores its state only every `segment` steps, and the backward pass simulates each segment
-    again. `window` truncates back-propagation through time, which changes the gradient, and bounds it where horizons
-    are long: it stops every `window` steps, so that an action is credited no further than to the end of its window.
+    again. `window` truncates back-propagation through time every `window` steps: an action is credited up to the end
+    of its window, which changes the gradient and bounds it for long horizons.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"together": "micro_batch"}
     updates: ClassVar[int] = 1
     """Steps of Adam in an epoch."""
     epochs: int = 1000
-    """Steps of Adam."""
     episodes: int = 60
     learning_rate: float = 3e-4
-    """Of Adam."""
     schedule: Literal["constant", "cosine"] = "constant"
-    """Constant, or falling to 0 as a cosine."""
+    """Learning rate constant, or falling to 0 as a cosine."""
     gradient_bound: float = 10.0
     objective: Objective = "terminal"
     check_every: int = 50
@@ -80,16 +78,12 @@ class TrainingSettings(LearningSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("micro_batch", "segment", "window"):
-            value = getattr(self, name)
-            require(value is None or value >= 1, name, value, "expected >= 1")
-        for name in ("epochs", "episodes", "check_every"):
-            require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        at_least(1, self, "micro_batch", "segment", "window", "epochs", "episodes", "check_every")
         positive(self, "learning_rate", "gradient_bound")
 
     @property
     def back(self) -> Backpropagation:
-        """Back-propagation through an episode: rematerialisation and truncation."""
+        """Rematerialisation and truncation of back-propagation through an episode."""
         return Backpropagation(segment=self.segment, window=self.window)
 
 
@@ -98,12 +92,15 @@ class PPOSettings(LearningSettings):
     """Settings of model-free proximal policy optimisation (PPO) by Stable-Baselines3.
 
     The defaults are Stable-Baselines3's, but for the shape of a rollout, of the same size (64 x 32 for 1 x 2048), and
-    the network, which is `AttentionPolicy`. In every iteration `environments` take `rollout_steps` steps each, and Adam
-    goes over them for `passes` epochs in minibatches of `batch`, until `steps` environment steps are done in all. The
-    reward is the growth of the mean log det per target, times `reward_scale`; an episode's end is terminal, of no
-    value. `log_std` is the log of the initial action std. With `critic_sees_time` the value network, which is discarded
-    after training, has the steps left as a feature. The learning rate is constant or falls linearly to 0. The policy
-    is validated every `check_every` steps.
+    the network, which is `AttentionPolicy`. In an iteration `environments` take `rollout_steps` steps each, and Adam
+    updates on them for `passes` epochs in minibatches of `batch`; there are `steps` environment steps in all. Adam has
+    a `learning_rate` and gradients of norm up to `gradient_bound`, and the ratio of probabilities is clipped to
+    1 +- `clip`. Advantages are estimated with a `discount` per step and `gae_lambda`. The policy is validated every
+    `check_every` steps.
+
+    The reward is the growth of the mean log det per target, times `reward_scale`; the terminal state has no value.
+    `log_std` is the log of the initial action std. With `critic_sees_time` the value network, which is discarded after
+    training, has the steps left as a feature.
     """
 
     objective: ClassVar[Objective] = "terminal"
@@ -114,21 +111,16 @@ class PPOSettings(LearningSettings):
     batch: int = 64
     passes: int = 10
     learning_rate: float = 3e-4
-    """Of Adam."""
     schedule: Literal["constant", "linear"] = "constant"
-    """Constant, or falling to 0."""
+    """Learning rate constant, or falling linearly to 0."""
     discount: float = 0.99
-    """Of rewards, a step."""
     gae_lambda: float = 0.95
-    """Of generalised advantage estimation."""
     clip: float = 0.2
-    """How far the ratio of probabilities may be from 1."""
     value_weight: float = 0.5
-    """Of the value network's loss."""
+    """Weight of the value network's loss."""
     entropy_weight: float = 0.0
-    """Of the actions' entropy."""
+    """Weight of the actions' entropy."""
     gradient_bound: float = 0.5
-    """Of a gradient's norm."""
     log_std: float = 0.0
     reward_scale: float = 1.0
     critic_sees_time: bool = False
@@ -136,27 +128,30 @@ class PPOSettings(LearningSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("steps", "environments", "rollout_steps", "passes", "check_every"):
-            require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        at_least(1, self, "steps", "environments", "rollout_steps", "passes", "check_every")
         collected = self.environments * self.rollout_steps
         right = f"expected a divisor of environments x rollout_steps = {collected}, and >= 2"
         require(self.batch >= 2 and collected % self.batch == 0, "batch", self.batch, right)
         positive(self, "learning_rate", "clip", "gradient_bound", "reward_scale")
-        not_negative(self, "value_weight", "entropy_weight")
-        for name in ("discount", "gae_lambda"):
-            require(0 <= getattr(self, name) <= 1, name, getattr(self, name), "expected 0 to 1")
+        at_least(0, self, "value_weight", "entropy_weight")
+        require(0 <= self.discount <= 1, "discount", self.discount, "expected 0 to 1")
+        require(0 <= self.gae_lambda <= 1, "gae_lambda", self.gae_lambda, "expected 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActorCriticSettings(ValidationSettings):
     """Settings of the actor-critic: PPO of a pointer policy on whole noisy episodes.
 
-    An iteration (one of `epochs`) simulates `episodes` fresh episodes, split evenly among the `protocols`, sampling a
-    mode by its weight and a Gaussian about its action. The Gaussian's standard deviation falls linearly from the first
-    `action_std` towards the last, which it would reach after all iterations. Then Adam goes over all steps `passes`
-    times in `minibatches` each. The return is the growth of log det per target ("terminal"), its mean over the steps
-    ("mean") or the share of time in view ("seen"), undiscounted, with no value after the horizon. Both learning rates
-    fall to 0 as a cosine.
+    An iteration (of `epochs` in all) simulates `episodes` new episodes, split evenly among the `protocols`, and samples
+    a mode by its weight and a Gaussian about its action. The Gaussian's standard deviation falls linearly from the
+    first `action_std` to the last at the end of training. Then Adam updates on all steps for `passes` epochs of
+    `minibatches` each. The `learning_rate` of the policy and the `critic_learning_rate` fall to 0 as a cosine,
+    gradients have norms up to `gradient_bound`, and the ratio of probabilities is clipped to 1 +- `clip`. The policy is
+    validated every `check_every` iterations.
+
+    The return (`objective`) is the growth of log det per target ("terminal"), its mean over the steps ("mean") or the
+    share of time in view ("seen"). It is undiscounted, with no value after the horizon; advantages are estimated with
+    `gae_lambda`.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
@@ -164,40 +159,30 @@ class ActorCriticSettings(ValidationSettings):
     protocols: tuple[ProtocolName, ...] = ("true",)
     select: ProtocolName = "true"
     objective: Objective = "terminal"
-    """The return of an episode."""
     epochs: int = 500
-    """Iterations of simulation and learning."""
     episodes: int = 256
     passes: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
-    """Of Adam, the policy's, initially."""
     critic_learning_rate: float = 1e-3
-    """Of Adam, the critic's, initially."""
     gradient_bound: float = 0.5
-    """Of a gradient's norm."""
     action_std: tuple[float, float] = (0.4, 0.06)
     gae_lambda: float = 0.95
-    """Of generalised advantage estimation."""
     clip: float = 0.2
-    """How far the ratio of probabilities may be from 1."""
     entropy_weight: float = 0.003
-    """Of the modes' entropy."""
+    """Weight of the modes' entropy."""
     check_every: int = 10
-    """Epochs between two validations on held-out scenes."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("epochs", "passes", "minibatches", "check_every"):
-            require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        at_least(1, self, "epochs", "passes", "minibatches", "check_every")
         right = "expected at least one of surrogate, true, each once"
         require(len(set(self.protocols)) == len(self.protocols) > 0, "protocols", self.protocols, right)
-        least = f">= minibatches = {self.minibatches}"
-        right = f"expected a multiple of the number of protocols, {len(self.protocols)}, and {least}"
-        shared = self.episodes % len(self.protocols) == 0 and self.episodes >= self.minibatches
-        require(shared, "episodes", self.episodes, right)
+        count, least = len(self.protocols), self.minibatches
+        right = f"expected a multiple of the number of protocols, {count}, and >= minibatches = {least}"
+        require(self.episodes % count == 0 and self.episodes >= least, "episodes", self.episodes, right)
         positive(self, "learning_rate", "critic_learning_rate", "gradient_bound", "clip")
-        not_negative(self, "entropy_weight")
+        at_least(0, self, "entropy_weight")
         require(min(self.action_std) > 0, "action_std", self.action_std, "expected two standard deviations > 0")
         require(0 <= self.gae_lambda <= 1, "gae_lambda", self.gae_lambda, "expected 0 to 1")
 

@@ -1,4 +1,4 @@
-"""Preset experiments and learners, and how to adapt them."""
+"""Preset experiments and learners, and their adaptation."""
 
 import math
 from dataclasses import replace
@@ -33,13 +33,14 @@ QUADROTOR = Scenario(
 )
 """A flying camera over 3 to 8 targets that cross a hall of 16 x 16 x 3 m in all directions, for 15 s."""
 
+POINTER, ACTOR_CRITIC = PointerSettings(kind="pointer"), ActorCriticSettings(algorithm="actor-critic")
 
 PRESETS = {
     "paper": Experiment(),
     "best": Experiment(
-        policy=PointerSettings(kind="pointer"),
-        training=ActorCriticSettings(
-            algorithm="actor-critic",
+        policy=POINTER,
+        training=replace(
+            ACTOR_CRITIC,
             protocols=("surrogate", "true"),
             select="surrogate",
             epochs=400,
@@ -47,27 +48,22 @@ PRESETS = {
             action_std=(0.4, 0.04),
         ),
     ),
-    "true-view": Experiment(
-        policy=PointerSettings(kind="pointer"),
-        training=ActorCriticSettings(algorithm="actor-critic"),
-    ),
-    # First beliefs err by as much as they claim: a target must be searched around its mean.
+    "true-view": Experiment(policy=POINTER, training=ACTOR_CRITIC),
+    # First means err by as much as the beliefs claim: the agent must search for a target around its mean.
     "search": Experiment(
         scenario=Scenario(
-            sensor=SensorSettings(missed_detections="used"),
-            scenes=SceneSettings(initial_error="consistent"),
+            sensor=SensorSettings(missed_detections="used"), scenes=SceneSettings(initial_error="consistent")
         ),
-        policy=PointerSettings(kind="pointer"),
-        training=ActorCriticSettings(algorithm="actor-critic", epochs=400),
+        policy=POINTER,
+        training=replace(ACTOR_CRITIC, epochs=400),
     ),
     "quadrotor": Experiment(
         scenario=QUADROTOR,
-        policy=PointerSettings(kind="pointer", length_m=POINTER_LENGTH_DEPTHS * QUADROTOR.view.depth_m),
-        training=ActorCriticSettings(algorithm="actor-critic", objective="mean"),
+        policy=replace(POINTER, length_m=POINTER_LENGTH_DEPTHS * QUADROTOR.view.depth_m),
+        training=replace(ACTOR_CRITIC, objective="mean"),
     ),
 }
-"""The presets by name: whole experiments, each with a trained policy in the package."""
-
+"""Experiments by the names of the presets; the package has a trained policy of each."""
 
 PPO = {
     "ppo": PPOSettings(algorithm="ppo"),
@@ -84,14 +80,14 @@ PPO = {
         critic_sees_time=True,
     ),
 }
-"""The model-free baseline: with Stable-Baselines3's defaults, and tuned for this task."""
+"""The model-free baseline with Stable-Baselines3's defaults, and tuned for this task."""
+
+LEARNERS = {"policy-gradient": TrainingSettings(), "actor-critic": ACTOR_CRITIC, **PPO}
+"""Learners that can replace an experiment's own."""
 
 
 def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
-    """Use a preset's network and learner for another scenario, scaling their lengths with the depth of the view.
-
-    Raises InputError for an unknown preset.
-    """
+    """Return an experiment of a scenario with a preset's network and learner, their lengths scaled with the view."""
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
     base = PRESETS[preset]
@@ -102,35 +98,19 @@ def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
     return Experiment(scenario=scenario, policy=policy, training=training)
 
 
-LEARNERS = {
-    "policy-gradient": TrainingSettings(),
-    "actor-critic": ActorCriticSettings(algorithm="actor-critic"),
-    **PPO,
-}
-"""Learners that can replace an experiment's own."""
-
-
-def adjusted(
-    experiment: Experiment,
-    algorithm: str | None = None,
-    epochs: int | None = None,
-    episodes: int | None = None,
-    steps: int | None = None,
-) -> Experiment:
-    """Replace the learner of an experiment by one of LEARNERS, and its budget, where these are given.
+def adjusted(experiment: Experiment, algorithm: str | None = None, **budget: int | None) -> Experiment:
+    """Replace the learner of an experiment by one of LEARNERS, and its budget of epochs, episodes or steps, if given.
 
     Raises InputError for an unknown learner, and for a budget that the learner does not have.
     """
     if algorithm is not None:
         if algorithm not in LEARNERS:
             raise InputError(f"algorithm {algorithm!r}: expected one of {', '.join(LEARNERS)}")
-        learner = LEARNERS[algorithm]
-        # Where the experiment has this learner already its own settings stay; "ppo-tuned" is asked for by its settings.
-        if algorithm == "ppo-tuned" or type(learner) is not type(experiment.training):
-            experiment = with_learner(experiment, learner)
+        # The same learner keeps the experiment's settings, except "ppo-tuned", which is defined by its settings.
+        if algorithm == "ppo-tuned" or type(LEARNERS[algorithm]) is not type(experiment.training):
+            experiment = with_learner(experiment, LEARNERS[algorithm])
     budgets = ("steps",) if isinstance(experiment.training, PPOSettings) else ("epochs", "episodes")
-    given = {"epochs": epochs, "episodes": episodes, "steps": steps}
-    changes = {name: value for name, value in given.items() if value is not None}
+    changes = {name: value for name, value in budget.items() if value is not None}
     for name, value in changes.items():
         if name not in budgets:
             raise InputError(f"{name} {value}: this algorithm does not count them: expected {' or '.join(budgets)}")
@@ -138,21 +118,17 @@ def adjusted(
 
 
 def for_long_horizons(experiment: Experiment, remat: bool = False, window: int | None = None) -> Experiment:
-    """The experiment with less memory, or a bounded gradient, for episodes of many steps.
+    """Reduce the memory of a policy gradient for long episodes. Raises InputError for another learner.
 
-    Args:
-        experiment: trained by the policy gradient; raises InputError for another learner.
-        remat: remember few states of an episode and run what lies between again (the same gradient).
-        window: steps after which the gradient is cut off (another gradient); None keeps it whole.
+    `remat` stores few states of an episode and simulates the others again, with the same gradient; `window` truncates
+    the gradient after this number of steps.
     """
     if not remat and window is None:
         return experiment
     training, scenes = experiment.training, experiment.scenario.scenes
     if not isinstance(training, TrainingSettings):
         raise InputError("remat, window: expected a training by the policy gradient")
-    if window is not None:
-        training = replace(training, window=window)
-    if remat:
-        # As many segments as steps in each: their sum, the states that are remembered, is smallest at the square root.
-        training = replace(training, segment=math.isqrt(scenes.horizon(scenes.targets_max) - 1) + 1)
+    # Equal numbers of segments and of steps in each, the square root, minimise their sum: the number of stored states.
+    segment = math.isqrt(scenes.horizon(scenes.targets_max) - 1) + 1 if remat else training.segment
+    training = replace(training, segment=segment, window=training.window if window is None else window)
     return replace(experiment, training=training)

@@ -1,10 +1,8 @@
-"""Resolve names: a run folder or preset to its experiment and policy, scenes and methods to what they stand for.
+"""Resolution of names: runs and presets to experiments and policies, scenes and methods to lists.
 
-The package ships a trained policy of every preset, as a run folder like any other; experiments/trained_presets.py
-made them.
+The package has a run folder for each preset, made by experiments/trained_presets.py.
 """
 
-import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,35 +25,32 @@ from foveate.simulation.records import Policy
 from foveate.simulation.suites import own_suite, table1
 
 TRAINED = Path(__file__).parent / "trained"
-"""The run folders of the presets."""
-
-
+"""Folder of the presets' run folders."""
 Name = str | Path
 
 
-@typing.runtime_checkable
-class Trained(typing.Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Trained:
     """A policy with the experiment that trained it, as `deploy.policy.TrainedPolicy`."""
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def experiment(self) -> Experiment: ...
-    @property
-    def network(self) -> Policy: ...
+    name: str
+    experiment: Experiment
+    network: Policy
 
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """A policy under evaluation, with its name and the experiment whose scenario it acts in."""
+    """A policy under evaluation, with its name and the experiment of its scenario.
+
+    `network` loads the policy: a run's heuristics need no checkpoint.
+    """
 
     name: str
     experiment: Experiment
     network: Callable[[], Policy]
-    """Loads the policy: heuristics need no checkpoint."""
 
     def policy(self, method: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-        """The policy of a method's name: `policy`, its own, or a heuristic; the box [m] is for the lawnmower."""
+        """Return the subject's own policy for "policy", else a heuristic; the lawnmower needs the box [m]."""
         if method == "policy":
             return self.network()
         scenario = self.experiment.scenario
@@ -63,10 +58,7 @@ class Subject:
 
 
 def run_folder(run: Name) -> Path:
-    """Resolve a run folder, or the name of a preset to the run folder that the package ships for it.
-
-    Any folder that holds a run comes first. Raises InputError where there is neither.
-    """
+    """Resolve a run folder, or a preset's name to the package's run folder; an existing run has precedence."""
     folder = Path(run)
     if str(run) in PRESETS and not (folder / CONFIG).is_file():
         return TRAINED / str(run)
@@ -76,17 +68,17 @@ def run_folder(run: Name) -> Path:
 
 
 def load(run: Name) -> tuple[Experiment, Policy, dict[str, Any]]:
-    """Experiment and policy of a run or a preset, and the facts saved with it. Raises InputError as `load_run`."""
+    """Load the experiment and policy of a run or a preset, and the policy's facts. Raises as `load_run`."""
     return load_run(run_folder(run))
 
 
 def experiment_of(run: Name) -> Experiment:
-    """The experiment of a run or a preset."""
+    """Read the experiment of a run or a preset."""
     return load_toml(Experiment, run_folder(run) / CONFIG)
 
 
 def experiment_from(source: Experiment | Scenario | Name) -> Experiment:
-    """Resolve what to train or simulate: an experiment, a scenario, a preset's name, a TOML file, or a run folder."""
+    """Resolve an experiment, a scenario, a preset's name, a TOML file, or a run folder to an experiment."""
     if isinstance(source, Experiment):
         return source
     if isinstance(source, Scenario):
@@ -102,9 +94,9 @@ def experiment_from(source: Experiment | Scenario | Name) -> Experiment:
 
 
 def subject_of(policy: Trained | Policy | Name, scenario: Scenario | None = None) -> Subject:
-    """Resolve a trained policy, a run folder, a preset's name, or a `Policy` with the scenario to act in.
+    """Resolve a trained policy, a run folder, a preset's name, or a `Policy` with its scenario.
 
-    Raises InputError for anything else, and for a scenario of another kind than the policy was trained for.
+    Raises InputError for anything else, and for a scenario that does not fit the policy's inputs and outputs.
     """
     if isinstance(policy, Policy):
         if scenario is None:
@@ -113,11 +105,10 @@ def subject_of(policy: Trained | Policy | Name, scenario: Scenario | None = None
         return Subject(name=type(policy).__name__, experiment=experiment, network=lambda: policy)
     if isinstance(policy, Name):
         name, own, network = str(policy), experiment_of(policy), lambda: load(policy)[1]
-    elif isinstance(getattr(policy, "experiment", None), Experiment):
+    elif isinstance(policy, Trained):
         name, own, network = policy.name, policy.experiment, lambda: policy.network
     else:
-        right = "expected one of foveate, a run, a preset, or a foveate.Policy"
-        raise InputError(f"policy = {policy!r}: {right}")
+        raise InputError(f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.Policy")
     if scenario is not None:
         trained, given = (_shape_of(each.problem()) for each in (own.scenario, scenario))
         if trained != given:
@@ -127,22 +118,21 @@ def subject_of(policy: Trained | Policy | Name, scenario: Scenario | None = None
 
 
 def _shape_of(problem: Problem) -> str:
-    """All that the inputs and outputs of a network depend on."""
+    """Describe the sizes on which the inputs and outputs of a network depend."""
     n_y, axes = problem.motion.state_size, len(problem.agent.axes)
     return f"{problem.agent.space.dimension} dimensions, states of {n_y} numbers and {axes} of a command"
 
 
 def with_initial_error(experiment: Experiment, initial_error: InitialError | None) -> Experiment:
-    """The experiment with this first error of beliefs; with its own where None is given."""
+    """Replace the error of first means in an experiment, unless it is None."""
     if initial_error is None:
         return experiment
-    scenario = experiment.scenario
-    scenes = replace(scenario.scenes, initial_error=initial_error)
-    return replace(experiment, scenario=replace(scenario, scenes=scenes))
+    scenes = replace(experiment.scenario.scenes, initial_error=initial_error)
+    return replace(experiment, scenario=replace(experiment.scenario, scenes=scenes))
 
 
 def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
-    """One or several methods' names, each once, `all` spelled out. Raises InputError for an unknown name."""
+    """Return methods' names, each once, with `all` resolved. Raises InputError for an unknown name."""
     names = [method] if isinstance(method, str) else list(method)
     for name in names:
         if name not in (*METHODS, "all"):
@@ -151,7 +141,10 @@ def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def scenes_of(scenes: Name | Sequence[Scene] | None, seed: int, experiment: Experiment) -> tuple[str, list[Scene]]:
-    """Resolve scenes and their name: a list, a file, table1, or own; None is table1 in the plane, own in space."""
+    """Resolve a list, a scenes file, table1, or own (the experiment's distribution) to a name and scenes.
+
+    None is table1 in the plane, own in space.
+    """
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
     planar = experiment.scenario.dimension == 2
     if scenes is None:

@@ -9,24 +9,16 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.io.files import LOCK, is_temporary, read_text, write_atomic
 
-CONFIG = "config.toml"
-
-
-BEST = Path("checkpoint") / "best.npz"
-
-
-LAST = Path("checkpoint") / "last.npz"
-
-
-METRICS = "metrics.jsonl"
+CONFIG, METRICS = "config.toml", "metrics.jsonl"
+BEST, LAST = Path("checkpoint") / "best.npz", Path("checkpoint") / "last.npz"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """One validation of a policy in training, a line of `metrics.jsonl`.
+    """A validation of a policy in training, a line of `metrics.jsonl`.
 
-    An epoch is one step of the policy gradient, or one iteration of PPO, a rollout with all passes over it; `env_steps`
-    counts the simulated steps of all epochs (their expectation where horizons are random). `objective` is the mean over
+    An epoch is a step of the policy gradient, or an iteration of PPO: a rollout and all updates from it. `env_steps`
+    counts the simulated steps of all epochs (their expectation if horizons are random). `objective` is the mean over
     the epochs since the last validation, `held_out` the score of the protocol that selects the best, `at_limit` the
     share of held-out commands with every axis at a limit. `gradient_norm` is null for PPO of Stable-Baselines3.
     """
@@ -45,7 +37,7 @@ class Validation:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a training; `stopped` is the reason where it ended early."""
+    """Outcome of a training; `stopped` is the reason if it ended early."""
 
     epochs: int
     best_epoch: int
@@ -55,24 +47,20 @@ class Outcome:
 
 
 def claim(out: Path, experiment: Experiment) -> None:
-    """Create the run folder `out` without its config.toml, which is written last, once a training can be resumed.
-
-    A folder that a training left which was killed before that is free. Raises InputError for one that is not.
-    """
+    """Create the run folder `out`, but not its config.toml, which is written last. Raises as `require_free`."""
     require_free(out, experiment)
     (out / BEST).parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out / METRICS, b"")
 
 
 def require_free(out: Path, experiment: Experiment) -> None:
-    """Raise InputError where a run, or something else, is there already."""
+    """Raise InputError if `out` exists, unless it is empty or left by a training killed before its config.toml."""
     if out.exists() and not _is_free(out):
         resume = "" if isinstance(experiment.training, PPOSettings) else f", or resume it with --resume {out}"
         raise InputError(f"{out}: exists already: choose another --out{resume}")
 
 
 def _is_free(out: Path) -> bool:
-    """True for an empty folder, and for the remains of a training that was killed before its config.toml."""
     if not out.is_dir() or (out / CONFIG).exists():
         return False
     inside = [path for path in out.rglob("*") if not is_temporary(path)]
@@ -81,16 +69,16 @@ def _is_free(out: Path) -> bool:
 
 
 def read_validations(file: Path) -> list[Validation]:
-    """Read the validations of a `metrics.jsonl`; a last line that was cut while it was written is skipped."""
+    """Read the validations of a `metrics.jsonl`, but for a truncated last line."""
     names, validations = {field.name for field in fields(Validation)}, []
     lines = [line for line in read_text(file, "metrics.jsonl of a run").splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):
         try:
-            row = json.loads(line)
-            validations.append(Validation(**{name: value for name, value in row.items() if name in names}))
+            values = {name: value for name, value in json.loads(line).items() if name in names}
+            validations.append(Validation(**values))
         except (ValueError, TypeError, AttributeError):
             if number < len(lines):
-                raise InputError(f"{file}: line {number}: not a check of a training") from None
+                raise InputError(f"{file}: line {number}: not a validation of a training") from None
     if not validations:
-        raise InputError(f"{file}: no check in it yet: expected at least one line")
+        raise InputError(f"{file}: no validation in it yet: expected at least one line")
     return validations

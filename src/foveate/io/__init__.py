@@ -1,1 +1,1 @@
-"""Files, tables on screen, progress: what knows nothing of targets."""
+"""Files, tables of settings, printed tables and progress bars, for any kind of content."""

@@ -1,4 +1,4 @@
-"""Jobs whose results are kept: each in a file, under a key that digests all that the result depends on."""
+"""Jobs with cached results: each result in a file, under a key that digests everything it depends on."""
 
 import warnings
 from collections.abc import Callable
@@ -15,11 +15,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Job(Generic[T]):
-    """A result that is computed once and kept in a file: of arrays by name if it ends in .npz, else of JSON.
+    """A result that is computed once and cached: as named arrays if `path` ends in .npz, otherwise as JSON.
 
-    `key` is asked for when the job's turn comes, since it may depend on files of earlier jobs. `encode` gives what the
-    file holds, and `decode` the result again; it raises ValueError, KeyError or TypeError for content that is not as it
-    was written. A file that is `optional` may fail to be written, with a warning.
+    `key` is evaluated when the job runs, since it may depend on files of earlier jobs. `encode` turns a result into the
+    file's content, and `decode` turns it back, raising ValueError, KeyError or TypeError for unexpected content. If an
+    `optional` file cannot be written, the job only warns.
     """
 
     path: Path
@@ -33,9 +33,9 @@ class Job(Generic[T]):
     optional: bool = False
 
     def result(self, *given: Any, on_rejected: Callable[[str], None] = lambda line: None) -> T:
-        """The kept result, or else that of `compute(*given)`, which is kept.
+        """Return the cached result, or compute it from `given` and cache it.
 
-        `on_rejected` takes a line about a file that is damaged or was made under another key.
+        `on_rejected` receives a line about a file that is damaged or has another key.
         """
         key = self.key()
         if self.path.exists():
@@ -45,7 +45,7 @@ class Job(Generic[T]):
                 line = str(error) if isinstance(error, ValueError) else f"{self.path}: holds something else"
                 on_rejected(f"{line}: computed again")
                 if not self.optional:
-                    # Else an interrupted computation could complete what a decode misses beside the old file.
+                    # Otherwise an interrupted computation could add what `decode` misses, beside the old file.
                     self.path.unlink()
         result = self.compute(*given)
         try:
@@ -59,11 +59,11 @@ class Job(Generic[T]):
     def _load(self, key: str) -> T:
         if self.path.suffix == ".npz":
             header, content = load_arrays(self.path, self.kind, self.version)
-            kept_key = header.get("content")
+            cached_key = header.get("content")
         else:
             document = read_document(self.path, self.kind, self.version, f"{self.kind} file")
-            kept_key, content = document.get("key"), document.get("result")
-        if kept_key != key:
+            cached_key, content = document.get("key"), document.get("result")
+        if cached_key != key:
             raise InputError(f"{self.path}: was made with other settings, or by another version")
         return self.decode(content)
 

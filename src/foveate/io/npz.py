@@ -1,4 +1,4 @@
-"""Named arrays with a header in one `.npz` file, without pickled code, checked against damage."""
+"""Named arrays with a header in one `.npz` file: no pickled code, damage is detected."""
 
 import hashlib
 import io
@@ -12,21 +12,17 @@ import numpy as np
 from foveate.errors import InputError
 from foveate.io.files import check_format, file_error, read_bytes, write_atomic
 
-_HEADER = "header"
-
-
-_DIGEST = "digest"
+_HEADER, _DIGEST = "header", "digest"
 
 
 def save_arrays(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, Any]) -> None:
-    """Write arrays and header, whole or not at all; the same content gives the same bytes.
+    """Write arrays and header, atomically; the same content gives the same bytes.
 
     The header is any JSON object with "format": "foveate-<kind>" and "version": a whole number of 1 or more. Raises
-    ValueError where it is not, where an array would not come back as it is (objects, records, bfloat16) and
-    where a name is taken ("header" in `arrays`, "digest" in `header`).
+    InputError for another header, for arrays that would be read back differently (objects, records, bfloat16) and for
+    reserved names ("header" in `arrays`, "digest" in `header`).
     """
-    _check_header(path, header)
-    _check_arrays(path, arrays)
+    _check(path, arrays, header)
     try:
         text = _canonical({**header, _DIGEST: _digest(arrays, header)})
     except ValueError as error:
@@ -41,19 +37,17 @@ def save_arrays(path: str | Path, arrays: dict[str, np.ndarray], header: dict[st
 
 
 def load_arrays(path: str | Path, kind: str, newest: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The header and arrays that `save_arrays` wrote, of format "foveate-<kind>" and version 1 to `newest`.
+    """Read the header and arrays of a `save_arrays` file of format "foveate-<kind>" and version 1 to `newest`.
 
-    Raises ValueError of one line, naming the file, for anything else: a missing, foreign, cut, damaged or
-    newer file, another kind, or arrays of Python objects, which are never unpickled.
+    Raises InputError of one line, naming the file, for anything else. Python objects are never unpickled.
     """
     data = read_bytes(path, f"{kind} file")
     if not data.startswith(b"PK"):
         raise file_error(path, f"is not an .npz archive; give a {kind} file that foveate wrote")
     try:
         arrays = _members(data)
-        text = arrays.pop(_HEADER, None)
-        header = None if text is None else json.loads(text.tobytes())
-    except Exception as error:  # a hostile or broken archive makes its readers raise nearly anything
+        header = json.loads(arrays.pop(_HEADER).tobytes()) if _HEADER in arrays else None
+    except Exception as error:  # readers of a hostile or broken archive raise nearly anything
         problem = f"is cut short or damaged ({type(error).__name__}: {error})"
         raise file_error(path, f"{problem}; give a {kind} file as foveate wrote it") from error
     if not isinstance(header, dict):
@@ -66,49 +60,44 @@ def load_arrays(path: str | Path, kind: str, newest: int) -> tuple[dict[str, Any
 
 
 def _members(data: bytes) -> dict[str, np.ndarray]:
-    """All arrays of an archive, each read to its end, and so checked by its checksum, before it is parsed."""
+    """Arrays of an archive; each is read to its end, which verifies its checksum, before it is parsed."""
     arrays = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for member in archive.infolist():
             name, suffix = member.filename[:-4], member.filename[-4:]
-            # Stored only: no small file can then unpack to more than it is.
+            # Uncompressed members only: a small file cannot unpack to a huge one.
             if suffix != ".npy" or name in arrays or member.compress_type != zipfile.ZIP_STORED:
                 raise InputError(f"strange member {member.filename!r}")
             arrays[name] = np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
     return arrays
 
 
-def _check_header(path: str | Path, header: dict[str, Any]) -> None:
-    """Reject a header that `load_arrays` would reject."""
+def _check(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, Any]) -> None:
+    """Raise InputError for a header that `load_arrays` would reject, or arrays that it would read back differently."""
     kind, version = header.get("format"), header.get("version")
     if not isinstance(kind, str) or not kind.startswith("foveate-"):
-        raise file_error(path, f"header format {kind!r}; wanted 'foveate-' and the kind of file")
+        raise file_error(path, f"header format {kind!r}; expected 'foveate-' and the kind of file")
     if type(version) is not int or version < 1:
-        raise file_error(path, f"header version {version!r}; wanted a whole number of 1 or more")
+        raise file_error(path, f"header version {version!r}; expected a whole number of 1 or more")
     if _DIGEST in header:
         raise file_error(path, f"the header's key {_DIGEST!r} is taken; choose another name")
-
-
-def _check_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> None:
-    """Reject arrays that would not come back as they are."""
     for name, array in arrays.items():
         if name == _HEADER or "\0" in name:
             raise file_error(path, f"an array cannot be named {name!r}; choose another name")
         if array.dtype.hasobject or np.dtype(array.dtype.str) != array.dtype:
-            wanted = "a plain number or text type, as float32"
-            raise file_error(path, f"the array {name!r} has the type {array.dtype}; wanted {wanted}")
+            right = "expected a plain number or text type, as float32"
+            raise file_error(path, f"the array {name!r} has the type {array.dtype}; {right}")
 
 
 def _canonical(header: dict[str, Any]) -> bytes:
-    """The header as JSON, the same for the same content. Raises ValueError on NaN and infinity."""
+    """Header as JSON, the same for the same content. Raises ValueError on NaN and infinity."""
     return json.dumps(header, sort_keys=True, allow_nan=False).encode()
 
 
 def _digest(arrays: dict[str, np.ndarray], header: dict[str, Any]) -> str:
-    """The SHA-256 over the header and over every array's name, dtype, shape and bytes."""
+    """SHA-256 of the header and of every array's name, dtype, shape and bytes."""
     total = hashlib.sha256(_canonical(header))
     for name in sorted(arrays):
-        array = arrays[name]
-        total.update(json.dumps([name, array.dtype.str, array.shape]).encode())
-        total.update(array.tobytes())
+        total.update(json.dumps([name, arrays[name].dtype.str, arrays[name].shape]).encode())
+        total.update(arrays[name].tobytes())
     return total.hexdigest()

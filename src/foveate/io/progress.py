@@ -1,26 +1,20 @@
-"""Progress of long work: a bar on a terminal, lines in a notebook, nothing elsewhere."""
+"""Progress of long tasks on a terminal or in a notebook."""
 
 import sys
 
 
 class Bar:
-    """A progress bar with rate and time left on a terminal, a line at each tenth in a notebook, nothing elsewhere.
+    """Progress bar with the time left on a terminal, a line at each tenth in a notebook, nothing elsewhere.
 
-    `quiet`: nothing anywhere, except for the lines of `say`.
+    A `quiet` bar shows only the lines of `say`.
     """
 
     def __init__(self, description: str, total: int, unit: str, quiet: bool = False) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn(unit),
-            TextColumn("{task.fields[note]}"),
-            TimeRemainingColumn(),
-        )
+        words = [TextColumn(text) for text in ("{task.description}", unit, "{task.fields[note]}")]
+        columns = (words[0], BarColumn(), MofNCompleteColumn(), *words[1:], TimeRemainingColumn())
         terminal = sys.stderr.isatty()
         self._progress = Progress(*columns, console=Console(stderr=True), disable=quiet or not terminal)
         self._task = self._progress.add_task(description, total=total, note="")
@@ -36,7 +30,7 @@ class Bar:
         self._progress.stop()
 
     def update(self, done: int, note: str = "") -> None:
-        """Set how much is done, and a note beside it."""
+        """Set the number of units done, and a note beside it."""
         self._progress.update(self._task, completed=done, note=note)
         tenth = 10 * done // max(1, self._total)
         if self._lines and tenth > self._reported:
@@ -44,5 +38,5 @@ class Bar:
             print(f"{self._description}: {done} of {self._total} {self._unit}  {note}", flush=True)
 
     def say(self, line: str) -> None:
-        """Print a line above the bar; on standard error, also where there is no terminal."""
+        """Print a line above the bar, on standard error, with or without a terminal."""
         self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)

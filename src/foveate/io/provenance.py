@@ -1,4 +1,4 @@
-"""Provenance of a result, which is part of every file of results."""
+"""Provenance of results, part of every file of results."""
 
 import jax
 

@@ -1,4 +1,4 @@
-"""Tables of text: on a terminal, in a notebook, on a Markdown page."""
+"""Tables of text for terminals, notebooks and Markdown pages."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-
 TABLE_WIDTH = 200
-"""Columns where the output is not a terminal."""
+"""Characters per line if the output is not a terminal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +24,7 @@ class Table:
 
 
 def draw(table: Table, console: "Console") -> None:
-    """Print the table, without its note, on a console."""
+    """Print a table, without its note, on a console."""
     from rich.markup import escape
     from rich.table import Table as Lines
 
@@ -38,7 +37,7 @@ def draw(table: Table, console: "Console") -> None:
 
 
 def text(table: Table) -> str:
-    """Text of the table as `draw` prints it, without colours."""
+    """Return the text that `draw` prints, without colours."""
     from rich.console import Console
 
     file = io.StringIO()
@@ -47,7 +46,7 @@ def text(table: Table) -> str:
 
 
 def html(table: Table) -> str:
-    """The table as HTML, for a notebook."""
+    """Return a table as HTML, for a notebook."""
 
     def row(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
@@ -57,15 +56,13 @@ def html(table: Table) -> str:
 
 
 def markdown(title: str, facts: Mapping[str, str], tables: Sequence[Table], figures: Mapping[str, str]) -> str:
-    """Markdown page of a comparison: provenance facts, figures (caption by file), tables."""
-    lines = [f"# {title}", ""]
-    lines += [f"- {name}: {value}" for name, value in facts.items()] + [""]
+    """Return a Markdown page of a comparison: provenance facts, figures (file to caption), tables."""
+    lines = [f"# {title}", "", *(f"- {name}: {value}" for name, value in facts.items()), ""]
     for file, caption in figures.items():
         lines += [f"![{caption}]({file})", ""]
     for table in tables:
-        lines += [f"## {table.title}", "", table.note, "", _line(table.header)]
-        lines.append("|---|---|" + "---:|" * (len(table.header) - 2))
-        lines += [*map(_line, table.rows), ""]
+        rule = "|---|---|" + "---:|" * (len(table.header) - 2)
+        lines += [f"## {table.title}", "", table.note, "", _line(table.header), rule, *map(_line, table.rows), ""]
     return "\n".join(lines)
 
 

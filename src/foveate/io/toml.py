@@ -1,9 +1,9 @@
 """Strict translation between TOML tables and frozen keyword-only dataclasses.
 
 A field may be a bool, int, float, str, Literal, another dataclass, a tuple of any of these (`tuple[X, ...]`
-or `tuple[X, Y]`), any of them `| None`, or a union of dataclasses `A | B` that are told apart by a Literal
-field of the same name in each; one of them may lack it or have a default, and is meant where a table has none.
-TypeError marks a dataclass with other fields, InputError wrong input.
+or `tuple[X, Y]`), any of them `| None`, or a union of dataclasses `A | B` with a Literal field of the same name, the
+tag, in each. One member may lack the tag or have a default for it, and is selected by a table without it. A dataclass
+with other fields raises TypeError, wrong input InputError.
 """
 
 import hashlib
@@ -19,25 +19,21 @@ from foveate.io.records import T, from_table, to_table
 
 VERSION = 1
 """Version of the files that `save_toml` writes."""
-
-
 MAX_KEY_PARTS = 20
-"""Largest number of parts of a dotted key that is read; ours have three at most."""
-
-
+"""Most parts that a dotted key in a file may have; foveate's have three at most."""
 _PIECES, _QUOTED = re.compile(r"[=,{}\[\]#\n]"), re.compile(r"[\"'][ \t]*\.|\.[ \t]*[\"']")
 
 
 def load_toml(cls: type[T], path: str | Path) -> T:
-    """Instance of the dataclass `cls` from a TOML file. Raises InputError of one line, naming file and key."""
+    """Read an instance of the dataclass `cls` from a TOML file. Raises as `read_toml`."""
     return read_toml(cls, path)[0]
 
 
 def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
-    """Instance of the dataclass `cls` from a TOML file, and the digest of the file's content.
+    """Read an instance of the dataclass `cls` from a TOML file, and the digest of the file's content.
 
-    The digest stays the same when `cls` gets further fields. Raises InputError of one line, naming file and key: also
-    where `save_toml` wrote the file and its content has changed since.
+    The digest stays the same when `cls` gets further fields. Raises InputError of one line, naming file and key, also
+    if the content has changed since `save_toml` sealed it.
     """
     text = read_text(path, "configuration file (TOML)")
     if _has_long_key(text):
@@ -59,35 +55,27 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
 
 
 def _has_long_key(text: str) -> bool:
-    """True for text that Python's parser would take too long for: its time grows with the square of a key's parts.
-
-    A key of half a million parts would take days.
-    """
+    """Detect keys on which Python's parser would spend days: its time grows with the square of a key's parts."""
     lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
-    return len(_QUOTED.findall(lines)) > 10 * MAX_KEY_PARTS or any(
-        part.count(".") > MAX_KEY_PARTS for part in _PIECES.split(lines)
-    )
+    is_long = any(piece.count(".") > MAX_KEY_PARTS for piece in _PIECES.split(lines))
+    return is_long or len(_QUOTED.findall(lines)) > 10 * MAX_KEY_PARTS
 
 
 def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
-    """Write `instance` as TOML with its format and version, for `load_toml` of this and later versions.
+    """Write a dataclass as TOML with its format and version, after `header` as a comment.
 
-    Args:
-        instance: A dataclass.
-        path: The file.
-        header: Text of a comment at the top.
-        sealed: Add a digest, by which `load_toml` notices every change; not for files that people are to edit.
+    A `sealed` file has a digest, by which `load_toml` detects every change: not for files that people edit.
     """
-    # The digest comes first, so that a file that was cut short still has it.
+    # The digest comes first, so that a truncated file still has it.
     seal, hint = [f'digest = "{digest(instance)}"'], ["After a change by hand delete the line that begins with: digest"]
-    comment = "\n".join([header, *hint * sealed]).strip()
-    known = [f'format = "foveate-{type(instance).__name__.lower()}"', f"version = {VERSION}"]
-    lines = [*_comment(comment), *seal * sealed, *known, "", dumps_toml(instance)]
+    comment = _comment("\n".join([header, *hint * sealed]).strip())
+    name = f'format = "foveate-{type(instance).__name__.lower()}"'
+    lines = [*comment, *seal * sealed, name, f"version = {VERSION}", "", dumps_toml(instance)]
     write_atomic(path, "\n".join(lines).encode())
 
 
 def dumps_toml(instance: Any, header: str = "") -> str:
-    """TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
+    """Return TOML text that reads back as `instance`, after `header` as a comment. Raises as `to_table`."""
     return "\n".join([*_comment(header), *_toml_lines(to_table(instance), "")]) + "\n"
 
 
@@ -96,7 +84,7 @@ def _comment(text: str) -> list[str]:
 
 
 def digest(instance: Any) -> str:
-    """Sixteen hex digits for the content of `instance`, the same in every process. Raises as `to_table`."""
+    """Digest of the content of `instance` in 16 hex digits, the same in every process. Raises as `to_table`."""
     return _digest(to_table(instance))
 
 
@@ -106,15 +94,13 @@ def _digest(table: dict[str, Any]) -> str:
 
 
 def _toml_lines(table: dict[str, Any], path: str) -> Iterator[str]:
-    """The lines of a table: plain keys first, since all that follows a heading belongs to it."""
-    for key, value in table.items():
-        if not isinstance(value, dict):
-            yield f"{_toml_key(key)} = {_toml_value(value)}"
-    for key, value in table.items():
+    """Lines of a table: plain keys first, since all that follows a heading belongs to the heading."""
+    for key, value in sorted(table.items(), key=lambda item: isinstance(item[1], dict)):
         if isinstance(value, dict):
             heading = f"{path}.{_toml_key(key)}" if path else _toml_key(key)
-            yield from ("", f"[{heading}]")
-            yield from _toml_lines(value, heading)
+            yield from ("", f"[{heading}]", *_toml_lines(value, heading))
+        else:
+            yield f"{_toml_key(key)} = {_toml_value(value)}"
 
 
 def _toml_key(name: str) -> str:
@@ -122,7 +108,7 @@ def _toml_key(name: str) -> str:
 
 
 def _toml_value(value: Any) -> str:
-    """One value on one line."""
+    """Format a value on one line."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{_toml_key(key)} = {_toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Checks of values from users: each raises an InputError of one line, "name = value: expected ..."."""
+"""Checks of values from users: each raises InputError of one line, "name = value: expected ..."."""
 
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -8,13 +8,9 @@ import numpy as np
 from foveate.errors import InputError
 
 SMALLEST, LARGEST = 1e-18, 1e12
-"""Sizes of numbers whose squares float32 still represents."""
-
-
-MOST_THINGS = 1_000_000
-"""Most episodes, starts or iterations that can be asked for: all are held in memory at once, and counted in int32."""
-
-
+"""Range of absolute values whose squares float32 represents."""
+MAX_COUNT = 1_000_000
+"""Most episodes, starts or iterations of a run: all are held in memory at once, and counted in int32."""
 Matrix = tuple[tuple[float, ...], ...]
 
 
@@ -30,10 +26,11 @@ def positive(settings: object, *names: str) -> None:
         require(getattr(settings, name) > 0, name, getattr(settings, name), "expected > 0")
 
 
-def not_negative(settings: object, *names: str) -> None:
-    """Raise InputError unless each of these fields is >= 0."""
+def at_least(least: int, settings: object, *names: str) -> None:
+    """Raise InputError unless each of these fields is None or >= `least`."""
     for name in names:
-        require(getattr(settings, name) >= 0, name, getattr(settings, name), "expected >= 0")
+        value = getattr(settings, name)
+        require(value is None or value >= least, name, value, f"expected >= {least}")
 
 
 def seed_number(seed: int, name: str) -> None:
@@ -43,17 +40,15 @@ def seed_number(seed: int, name: str) -> None:
 
 
 def check_count(value: int | None, name: str) -> None:
-    """Raise InputError for a number of things that is given, and is not from 1 to MOST_THINGS."""
-    if value is not None and value < 1:
-        raise InputError(f"{name} {value}: expected >= 1")
-    if value is not None and value > MOST_THINGS:
-        raise InputError(f"{name} {value}: expected <= {MOST_THINGS}")
+    """Raise InputError unless a count is None or from 1 to MAX_COUNT."""
+    if value is not None and not 1 <= value <= MAX_COUNT:
+        raise InputError(f"{name} {value}: expected {'>= 1' if value < 1 else f'<= {MAX_COUNT}'}")
 
 
 def representable(settings: Any, path: str = "", least: float = SMALLEST) -> None:
-    """Raise InputError unless float32 can represent all numbers in settings, and their squares.
+    """Raise InputError unless float32 can represent the numbers in settings, and their squares.
 
-    Numbers are 0, or from 1e-18 to 1e12 in size. An element of a matrix may be smaller: beside the others it is 0.
+    Numbers are 0 or of absolute value 1e-18 to 1e12. Elements of a matrix may be smaller: beside the others they are 0.
     """
     if is_dataclass(settings):
         for field in fields(settings):
@@ -67,32 +62,32 @@ def representable(settings: Any, path: str = "", least: float = SMALLEST) -> Non
 
 
 def matrix(value: Matrix, name: str, shape: tuple[int | None, int | None]) -> np.ndarray:
-    """Matrix from rows of numbers; None in `shape` stands for any size. Raises InputError where it does not fit."""
+    """Return rows of numbers as an array of this shape; None stands for any size. Raises InputError if they differ."""
     rows = {len(row) for row in value}
     require(len(rows) == 1 and 0 not in rows, name, value, "expected a matrix with rows of one length")
     array = np.array(value, float)
     require(np.isfinite(array).all(), name, value, "expected finite numbers")
-    fits = all(want is None or have == want for have, want in zip(array.shape, shape, strict=True))
-    wanted = " x ".join("any" if size is None else str(size) for size in shape)
-    require(fits, name, value, f"expected shape {wanted}, got {array.shape[0]} x {array.shape[1]}")
+    fits = all(right in (None, size) for size, right in zip(array.shape, shape, strict=True))
+    expected = " x ".join("any" if size is None else str(size) for size in shape)
+    require(fits, name, value, f"expected shape {expected}, got {array.shape[0]} x {array.shape[1]}")
     return array
 
 
 def covariance(value: Matrix, name: str, size: int, definite: bool) -> np.ndarray:
-    """Covariance matrix from rows of numbers: symmetric, semidefinite, or positive `definite`. Raises InputError."""
+    """Return rows of numbers as a covariance matrix. Raises InputError unless it is semidefinite, or `definite`."""
     array = matrix(value, name, (size, size))
     scale = np.abs(array).max()
     require(np.abs(array - array.T).max() <= 1e-9 * scale, name, value, "a covariance is symmetric")
-    smallest = np.linalg.eigvalsh(array).min()
     if definite:
         require(_is_definite(array), name, value, "expected positive definite (all eigenvalues > 0), also in float32")
     else:
-        require(smallest >= -1e-12 * scale, name, value, "a covariance has no negative eigenvalue")
+        is_semidefinite = np.linalg.eigvalsh(array).min() >= -1e-12 * scale
+        require(is_semidefinite, name, value, "a covariance has no negative eigenvalue")
     return array
 
 
 def _is_definite(array: np.ndarray) -> bool:
-    """Test that float32 holds the correlations as definite; different scales of the axes cost no digits."""
+    """Test that the correlations are definite in float32; different scales of the axes cost no digits."""
     variances = np.diag(array)
     if variances.min() <= 0:
         return False

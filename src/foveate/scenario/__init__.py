@@ -1,1 +1,1 @@
-"""Checked settings of a world, as a TOML file says them, and scenes of it."""
+"""Checked settings of a scenario, as in a TOML file, and its scenes."""

@@ -1,4 +1,4 @@
-"""Bodies as plain settings: which axes of the twist they command, and how far. Speeds in [m/s], rates in [rad/s]."""
+"""Settings of agents: the commanded axes of the twist and their limits. Speeds in [m/s], rates in [rad/s]."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from foveate.models.agent import Agent
 
 
 def _agent(space: str, limits: dict[str, tuple[float, float]]) -> Agent:
-    """The body that commands the named axes of the twist within (lower, upper)."""
+    """Return the agent that commands the named axes of the twist within (lower, upper)."""
     names = SPACES[space].axes
     axes = sorted(names.index(name) for name in limits)
     lower, upper = zip(*(limits[names[axis]] for axis in axes), strict=True)
@@ -21,7 +21,7 @@ def _agent(space: str, limits: dict[str, tuple[float, float]]) -> Agent:
 
 @dataclass(frozen=True, kw_only=True)
 class DifferentialDrive:
-    """A ground vehicle that drives ahead and turns, in the plane or on the floor of a world in space."""
+    """A ground vehicle that drives ahead and turns."""
 
     kind: Literal["differential_drive"] = "differential_drive"
     space: Literal["planar", "spatial"] = "planar"
@@ -38,20 +38,15 @@ class DifferentialDrive:
         require(self.v_min_m_s < self.v_max_m_s, "v_max_m_s", self.v_max_m_s, right)
         positive(self, "w_max_rad_s")
 
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return SPACES[self.space].dimension
-
     def agent(self) -> Agent:
-        """The body with its limits as arrays."""
-        turn = (-self.w_max_rad_s, self.w_max_rad_s)
-        return _agent(self.space, {"vx": (self.v_min_m_s, self.v_max_m_s), "wz": turn})
+        """The agent with its limits as arrays."""
+        w = self.w_max_rad_s
+        return _agent(self.space, {"vx": (self.v_min_m_s, self.v_max_m_s), "wz": (-w, w)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quadrotor:
-    """A level flying camera: any velocity, turning about the vertical only."""
+    """A level flying camera: any velocity, turns about the vertical only."""
 
     kind: Literal["quadrotor"]
     v_max_m_s: float = 4.0
@@ -60,20 +55,20 @@ class Quadrotor:
     """Largest speed up and down."""
     yaw_rate_max_rad_s: float = math.pi / 2
     """Largest turn rate to either side."""
-    dimension: ClassVar[int] = 3
+    space: ClassVar[str] = "spatial"
 
     def __post_init__(self) -> None:
         positive(self, "v_max_m_s", "climb_max_m_s", "yaw_rate_max_rad_s")
 
     def agent(self) -> Agent:
-        """The body with its limits as arrays."""
+        """The agent with its limits as arrays."""
         v, climb, turn = self.v_max_m_s, self.climb_max_m_s, self.yaw_rate_max_rad_s
-        return _agent("spatial", {"vx": (-v, v), "vy": (-v, v), "vz": (-climb, climb), "wz": (-turn, turn)})
+        return _agent(self.space, {"vx": (-v, v), "vy": (-v, v), "vz": (-climb, climb), "wz": (-turn, turn)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class FixedWing:
-    """An aeroplane's kinematics: always ahead, rolling, pitching and (little) yawing about its own axes."""
+    """Kinematics of an aeroplane: always ahead; rolls, pitches and (a little) yaws about its own axes."""
 
     kind: Literal["fixed_wing"]
     v_min_m_s: float = 10.0
@@ -81,12 +76,12 @@ class FixedWing:
     v_max_m_s: float = 20.0
     """Largest airspeed."""
     roll_rate_max_rad_s: float = 1.0
-    """About the axis ahead."""
+    """Largest turn rate about the axis ahead."""
     pitch_rate_max_rad_s: float = 0.5
-    """About the axis to the left."""
+    """Largest turn rate about the axis to the left."""
     yaw_rate_max_rad_s: float = 0.2
-    """About the axis up."""
-    dimension: ClassVar[int] = 3
+    """Largest turn rate about the axis up."""
+    space: ClassVar[str] = "spatial"
 
     def __post_init__(self) -> None:
         positive(self, "v_min_m_s", "roll_rate_max_rad_s", "pitch_rate_max_rad_s", "yaw_rate_max_rad_s")
@@ -94,18 +89,18 @@ class FixedWing:
         require(self.v_min_m_s < self.v_max_m_s, "v_max_m_s", self.v_max_m_s, right)
 
     def agent(self) -> Agent:
-        """The body with its limits as arrays."""
+        """The agent with its limits as arrays."""
         rates = {"wx": self.roll_rate_max_rad_s, "wy": self.pitch_rate_max_rad_s, "wz": self.yaw_rate_max_rad_s}
         turns = {name: (-rate, rate) for name, rate in rates.items()}
-        return _agent("spatial", {"vx": (self.v_min_m_s, self.v_max_m_s), **turns})
+        return _agent(self.space, {"vx": (self.v_min_m_s, self.v_max_m_s), **turns})
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreeBody:
     """Any subset of the axes of the twist, each within its own limits; the other axes stay 0.
 
-    Axes are vx, vy, wz in the plane and vx, vy, vz, wx, wy, wz in space; `lower` and `upper` have one number for each
-    of `axes` [m/s, rad/s].
+    Axes are vx, vy, wz in the plane and vx, vy, vz, wx, wy, wz in space; `lower` and `upper` are their limits, a number
+    for each of `axes` [m/s, rad/s].
     """
 
     kind: Literal["body"]
@@ -116,24 +111,18 @@ class FreeBody:
     upper: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        known = SPACES[self.space].axes
-        require(len(self.axes) > 0, "axes", self.axes, f"expected at least one of {', '.join(known)}")
+        names, count = SPACES[self.space].axes, len(self.axes)
+        require(count > 0, "axes", self.axes, f"expected at least one of {', '.join(names)}")
         for axis in self.axes:
-            require(axis in known, "axes", self.axes, f"no axis {axis!r}: expected some of {', '.join(known)}")
-        require(len(set(self.axes)) == len(self.axes), "axes", self.axes, "expected each axis once")
-        for name in ("lower", "upper"):
-            right = f"expected {len(self.axes)} numbers, one for each of axes"
-            require(len(getattr(self, name)) == len(self.axes), name, getattr(self, name), right)
+            require(axis in names, "axes", self.axes, f"no axis {axis!r}: expected some of {', '.join(names)}")
+        require(len(set(self.axes)) == count, "axes", self.axes, "expected each axis once")
+        for name, limits in (("lower", self.lower), ("upper", self.upper)):
+            require(len(limits) == count, name, limits, f"expected {count} numbers, one for each of axes")
         below = all(low < high for low, high in zip(self.lower, self.upper, strict=True))
         require(below, "upper", self.upper, f"expected > lower {self.lower} on every axis")
 
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return SPACES[self.space].dimension
-
     def agent(self) -> Agent:
-        """The body with its limits as arrays."""
+        """The agent with its limits as arrays."""
         return _agent(self.space, dict(zip(self.axes, zip(self.lower, self.upper, strict=True), strict=True)))
 
 

@@ -1,8 +1,8 @@
-"""Fields of view as plain settings, in the body frame: x ahead, y to the left, z up. Lengths [m], angles [deg]."""
+"""Settings of fields of view, in the body frame: x ahead, y to the left, z up. Lengths [m], angles [deg]."""
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 from foveate.geometry import fov, fov_planar, fov_spatial
 from foveate.io.validate import positive, require
@@ -20,14 +20,13 @@ def _range(near: float, far: float, far_name: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleView:
-    """A triangle with its apex at the agent, opening ahead: depth along the axis, full angle."""
+    """A triangle with its apex at the agent, opening ahead."""
 
     shape: Literal["triangle"] = "triangle"
     depth_m: float = 2.0
-    """From the agent to the far side, along the axis."""
+    """Distance from the agent to the far side, along the axis."""
     angle_deg: float = 120.0
     """Full angle at the agent, below 180."""
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         positive(self, "depth_m")
@@ -40,14 +39,13 @@ class TriangleView:
 
 @dataclass(frozen=True, kw_only=True)
 class SectorView:
-    """A circular sector with its apex at the agent: radius, full angle."""
+    """A circular sector with its apex at the agent, opening ahead."""
 
     shape: Literal["sector"] = "sector"
     depth_m: float = 10.0
     """Radius."""
     angle_deg: float = 90.0
     """Full angle, up to 360."""
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         positive(self, "depth_m")
@@ -60,12 +58,11 @@ class SectorView:
 
 @dataclass(frozen=True, kw_only=True)
 class PolygonView:
-    """Any convex polygon."""
+    """A convex polygon."""
 
     shape: Literal["polygon"]
     vertices_m: tuple[tuple[float, float], ...]
-    """Corners [x, y] of a convex polygon, in order."""
-    dimension: ClassVar[int] = 2
+    """Corners [x, y], in order."""
 
     def __post_init__(self) -> None:
         fov_planar.polygon(self.vertices_m)
@@ -82,22 +79,17 @@ class PolygonView:
 
 @dataclass(frozen=True, kw_only=True)
 class BallView:
-    """A disc (two coordinates of its centre) or ball (three): what a sensor of limited range sees all around."""
+    """A disc or ball, of a sensor with limited range in all directions."""
 
     shape: Literal["ball"]
     radius_m: float
     """Range of the sensor."""
     center_m: tuple[float, ...]
-    """Its centre in the body frame."""
+    """Centre in the body frame; two coordinates for a disc, three for a ball."""
 
     def __post_init__(self) -> None:
         positive(self, "radius_m")
         require(len(self.center_m) in (2, 3), "center_m", self.center_m, "expected 2 or 3 numbers")
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return len(self.center_m)
 
     @property
     def depth_m(self) -> float:
@@ -111,18 +103,15 @@ class BallView:
 
 @dataclass(frozen=True, kw_only=True)
 class FrustumView:
-    """What a camera looking ahead sees: between two planes, full angles across and up."""
+    """The view of a camera that looks ahead, between planes at `near_m` and `depth_m`."""
 
     shape: Literal["frustum"]
     near_m: float = 0.3
-    """Nearest plane."""
     depth_m: float = 6.0
-    """Farthest plane."""
     width_deg: float = 90.0
     """Full angle across."""
     height_deg: float = 60.0
     """Full angle up and down."""
-    dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         _range(self.near_m, self.depth_m, "depth_m")
@@ -131,23 +120,19 @@ class FrustumView:
 
     def view(self) -> fov.FieldOfView:
         """The shape."""
-        return fov_spatial.frustum(
-            self.near_m, self.depth_m, math.radians(self.width_deg), math.radians(self.height_deg)
-        )
+        width, height = math.radians(self.width_deg), math.radians(self.height_deg)
+        return fov_spatial.frustum(self.near_m, self.depth_m, width, height)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConeView:
-    """A cone ahead between two slant ranges, full angle: a radar, a lidar, a searchlight."""
+    """A cone ahead between slant ranges `near_m` and `depth_m`: a radar, a lidar, a searchlight."""
 
     shape: Literal["cone"]
     near_m: float = 0.0
-    """Nearest slant range."""
     depth_m: float = 6.0
-    """Farthest slant range."""
     angle_deg: float = 60.0
     """Full angle, up to 360."""
-    dimension: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         _range(self.near_m, self.depth_m, "depth_m")
@@ -160,15 +145,14 @@ class ConeView:
 
 @dataclass(frozen=True, kw_only=True)
 class PrismView:
-    """A shape of the plane without end upwards and downwards: a planar sensor in space."""
+    """A planar shape, unbounded upwards and downwards: a planar sensor in space."""
 
     shape: Literal["prism"]
     base: TriangleView | SectorView | PolygonView
-    dimension: ClassVar[int] = 3
 
     @property
     def depth_m(self) -> float:
-        """That of its base [m]."""
+        """Depth of the base [m]."""
         return self.base.depth_m
 
     def view(self) -> fov.FieldOfView:

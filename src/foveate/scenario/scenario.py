@@ -1,7 +1,4 @@
-"""Scenario of an experiment as plain, checked settings: agent, view, sensor, targets, distribution of scenes.
-
-`Scenario` is the `[scenario]` table of a configuration file; `Scenario.problem()` turns it into arrays.
-"""
+"""The scenario of an experiment, the `[scenario]` table of a configuration file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.geometry.space import SPACES
 from foveate.io.validate import Matrix, matrix, positive, representable, require
 from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
@@ -23,7 +21,7 @@ from foveate.scenario.target import DriftTarget, TargetSettings, require_predict
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Agent, field of view, sensor, targets and scenes, with `tau_s` [s] between decisions."""
+    """Checked settings of agent, field of view, sensor, targets and scenes, with `tau_s` [s] between decisions."""
 
     tau_s: float = 1.0
     agent: AgentSettings = field(default_factory=DifferentialDrive)
@@ -37,8 +35,8 @@ class Scenario:
         positive(self, "tau_s")
         representable(self)
         d = self.dimension
-        right = f"expected a shape in {d} dimensions, as the agent's"
-        require(self.view.dimension == d, "view.shape", self.view.shape, right)
+        is_view_of_space = self.view.view().dimension == d
+        require(is_view_of_space, "view.shape", self.view.shape, f"expected a shape in {d} dimensions, as the agent's")
         require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
         self._check_matrices()
         problem = self.problem()
@@ -46,46 +44,42 @@ class Scenario:
             for tau in self.schedule.tau_s or (self.tau_s,):
                 require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
         right = "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or Z = B = I)"
-        has_drift = any(self.scenes.drift_m_s)
-        require(not has_drift or problem.motion.takes_drift, "scenes.drift_m_s", self.scenes.drift_m_s, right)
-        # The first mean errs by N(0, V) in the world frame before any pose has been taken, so V must look the same from
-        # all of them.
+        drift = self.scenes.drift_m_s
+        require(not any(drift) or problem.motion.takes_drift, "scenes.drift_m_s", drift, right)
+        # The paper's first mean errs by N(0, V) in the world frame before there is a pose: V must be the same for all.
         V = np.asarray(problem.period.V[0])
         turns = self.sensor.frame == "body" and not np.array_equal(V, V[0, 0] * np.eye(len(V)))
         right = "expected 'consistent': a first error from N(0, V) is not defined where V turns with the agent"
-        is_paper = self.scenes.initial_error == "paper"
-        require(not (turns and is_paper), "scenes.initial_error", self.scenes.initial_error, right)
+        error = self.scenes.initial_error
+        require(not (turns and error == "paper"), "scenes.initial_error", error, right)
 
     def _check_matrices(self) -> None:
         """Raise InputError unless H, V and W fit the targets' state and each other."""
-        A, _, _, Z = self.target.motion(self.dimension, self.tau_s)
+        sensor, d = self.sensor, self.dimension
+        A, _, _, Z = self.target.motion(d, self.tau_s)
         (rows, columns), n_y = self._observation(Z).shape, len(A)
         of_state = "the length of a target's state"
-        require(columns == n_y, "sensor.H", self.sensor.H, f"expected {n_y} columns, {of_state}")
-        require(rows <= n_y, "sensor.H", self.sensor.H, f"expected at most {n_y} rows, {of_state}")
-        right = f"expected 'world', or a sensor.H of {self.dimension} rows that measures positions"
-        require(self.sensor.frame == "world" or rows == self.dimension, "sensor.frame", self.sensor.frame, right)
-        noises = [("schedule.V", V) for V in self.schedule.V]
-        if self.sensor.V is not None:
-            noises.append(("sensor.V", self.sensor.V))
-        for name, V in noises:
-            require(len(V) == rows, name, V, f"expected {rows} x {rows}, a row per measured number")
+        require(columns == n_y, "sensor.H", sensor.H, f"expected {n_y} columns, {of_state}")
+        require(rows <= n_y, "sensor.H", sensor.H, f"expected at most {n_y} rows, {of_state}")
+        right = f"expected 'world', or a sensor.H of {d} rows that measures positions"
+        require(sensor.frame == "world" or rows == d, "sensor.frame", sensor.frame, right)
+        for name, V in [*(("schedule.V", V) for V in self.schedule.V), ("sensor.V", sensor.V)]:
+            require(V is None or len(V) == rows, name, V, f"expected {rows} x {rows}, a row per measured number")
         for W in self.schedule.W:
             require(len(W) == n_y, "schedule.W", W, f"expected {n_y} x {n_y}, {of_state}")
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
-        """H: by default the position."""
+        """H (rows, n_y), by default that of the position."""
         return Z if self.sensor.H is None else matrix(self.sensor.H, "sensor.H", (None, None))
 
     @property
     def dimension(self) -> int:
         """Dimension of space."""
-        return self.agent.dimension
+        return SPACES[self.agent.space].dimension
 
     def problem(self) -> Problem:
-        """The same as arrays, for simulation."""
-        d = self.dimension
-        H = self._observation(self.target.motion(d, self.tau_s)[-1])
+        """The scenario as arrays, for simulation."""
+        H = self._observation(self.target.motion(self.dimension, self.tau_s)[-1])
         V = self.sensor.std_m**2 * np.eye(len(H)) if self.sensor.V is None else np.array(self.sensor.V)
         sensor = Sensor(
             H=_array(H),
@@ -100,7 +94,7 @@ class Scenario:
             sensor=sensor,
             motion=self._motion(self.tau_s),
             tau=_array(self.tau_s),
-            prior_information=_array(np.linalg.inv(self.target.prior_covariance(d))),
+            prior_information=_array(np.linalg.inv(self.target.prior_covariance(self.dimension))),
             schedule=self._schedule(V),
         )
 
@@ -109,17 +103,14 @@ class Scenario:
         return LinearGaussian(A=_array(A), B=_array(B), W=_array(own if W is None else W), Z=_array(Z))
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
-        """One entry per step; lists that the settings leave empty repeat the constant value."""
-        schedule = self.schedule
-        if schedule.length == 0:
+        """Values of each step of a period; an empty list repeats the constant value."""
+        schedule, steps = self.schedule, self.schedule.length
+        if steps == 0:
             return None
-        taus = schedule.tau_s or (self.tau_s,) * schedule.length
-        motions = [self._motion(tau, W) for tau, W in zip(taus, schedule.W or (None,) * schedule.length, strict=True)]
-        return Schedule(
-            tau=_array(taus),
-            motion=jax.tree.map(lambda *parts: jnp.stack(parts), *motions),
-            V=_array(schedule.V or [V] * schedule.length),
-        )
+        taus = schedule.tau_s or (self.tau_s,) * steps
+        motions = map(self._motion, taus, schedule.W or (None,) * steps)
+        motion = jax.tree.map(lambda *parts: jnp.stack(parts), *motions)
+        return Schedule(tau=_array(taus), motion=motion, V=_array(schedule.V or [V] * steps))
 
 
 def _array(value: float | np.ndarray | Sequence) -> jnp.ndarray:

@@ -1,4 +1,4 @@
-"""Scenes: starts of agent and targets, and drifts of the targets; in memory and in files."""
+"""Scenes: initial poses of agents, initial positions and drifts of targets, in memory and in files."""
 
 import json
 from collections import Counter
@@ -12,7 +12,7 @@ import numpy as np
 from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.io.files import content_digest, read_document, write_document
-from foveate.io.validate import not_negative, require
+from foveate.io.validate import at_least, require
 from foveate.names import InitialError
 
 
@@ -20,89 +20,74 @@ from foveate.names import InitialError
 class SceneSettings:
     """Distribution of training scenes, and settings of an episode.
 
-    Targets: n uniform on targets_min .. targets_max, positions uniform in a box about `centre_m` with half side
-    `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that box in training, within
-    `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in [-drift_m_s, drift_m_s] per
-    axis, one for all targets of a scene (`shared_drift`) or each its own. Targets that are positions driven by an input
-    get a new jitter, uniform in [-jitter_m_s, jitter_m_s], added at each step; for other kinds the drift is the first
-    velocity. `known_drift`: the agent knows these inputs (the paper: yes). `process_noise`: targets are also pushed by
-    N(0, W). `birth_and_death`: in training, a target that leaves the box is replaced by a new one that enters at the
-    other side. Horizon: `steps`, or `steps_per_target` n. First mean: truth + N(0, V), V of the first step at range 0
-    ("paper": claims more than it errs), or drawn from the first belief ("consistent").
+    Targets: n uniform on `targets_min` .. `targets_max` (a policy takes any number), positions uniform in a box about
+    `centre_m` with half side `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that
+    box in training, within `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
+    [-d, d] on each axis, d = `drift_m_s`, one for all targets of a scene (`shared_drift`) or each its own. Targets that
+    are positions driven by an input get a new jitter, uniform in [-j, j], j = `jitter_m_s`, added at each step; for
+    other kinds the drift is the first velocity. `known_drift`: the agent knows these inputs (the paper: yes).
+    `process_noise`: targets also move by N(0, W). `birth_and_death`: in training, a target that leaves the box is
+    replaced by a new one that enters on the opposite side. Horizon: `steps`, or `steps_per_target` n. `initial_error`
+    of the first mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
+    from the first belief ("consistent").
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}
     targets_min: int = 3
-    """Fewest targets of a scene."""
     targets_max: int = 8
-    """Most targets of a scene in training; a policy takes any number."""
     centre_m: tuple[float, ...] = (0.0, 0.0)
     half_side_m: tuple[float, ...] = (0.0, 0.0)
     half_side_per_target_m: float = 2.0
     agent_spread: float = 1.25
     agent_test_half_side_m: float = 2.0
     drift_m_s: tuple[float, ...] = (0.8, 0.8)
-    """Largest drift on each axis."""
     shared_drift: bool = True
     known_drift: bool = True
     process_noise: bool = True
     birth_and_death: bool = False
     jitter_m_s: float = 0.5
-    """Largest change of the drift at a step, on each axis."""
     steps_per_target: int = 3
     steps: int | None = None
     initial_error: InitialError = "paper"
-    """How far first means are from the truth."""
 
     def __post_init__(self) -> None:
-        require(self.targets_min >= 1, "targets_min", self.targets_min, "expected >= 1")
+        at_least(1, self, "targets_min", "steps_per_target", "steps")
         right = f"expected >= targets_min {self.targets_min}"
         require(self.targets_max >= self.targets_min, "targets_max", self.targets_max, right)
-        not_negative(self, "half_side_per_target_m", "agent_spread", "agent_test_half_side_m", "jitter_m_s")
-        require(min(self.half_side_m, default=-1) >= 0, "half_side_m", self.half_side_m, "expected >= 0 per axis")
-        require(min(self.drift_m_s, default=-1) >= 0, "drift_m_s", self.drift_m_s, "expected >= 0 per axis")
-        right = "expected one number per axis, as many as half_side_m"
-        for name in ("centre_m", "drift_m_s"):
-            require(len(getattr(self, name)) == len(self.half_side_m), name, getattr(self, name), right)
-        smallest = min(self.half_side_m) + self.half_side_per_target_m
-        require(
-            not self.birth_and_death or smallest > 0,
-            "half_side_m",
-            self.half_side_m,
-            "expected > 0 with birth_and_death",
-        )
-        require(self.steps_per_target >= 1, "steps_per_target", self.steps_per_target, "expected >= 1")
-        require(self.steps is None or self.steps >= 1, "steps", self.steps, "expected >= 1")
+        at_least(0, self, "half_side_per_target_m", "agent_spread", "agent_test_half_side_m", "jitter_m_s")
+        half_side, drift = self.half_side_m, self.drift_m_s
+        require(min(half_side, default=-1) >= 0, "half_side_m", half_side, "expected >= 0 per axis")
+        require(min(drift, default=-1) >= 0, "drift_m_s", drift, "expected >= 0 per axis")
+        for name, numbers in (("centre_m", self.centre_m), ("drift_m_s", drift)):
+            require(len(numbers) == len(half_side), name, numbers, "expected one number per axis, as half_side_m has")
+        is_area = min(half_side) + self.half_side_per_target_m > 0
+        require(not self.birth_and_death or is_area, "half_side_m", half_side, "expected > 0 with birth_and_death")
 
     def horizon(self, targets: int) -> int:
-        """Steps of an episode with that many targets."""
+        """Steps of an episode with this number of targets."""
         return self.steps if self.steps is not None else self.steps_per_target * max(1, targets)
 
     @property
     def mean_horizon(self) -> float:
         """Expected steps of an episode."""
-        numbers = range(self.targets_min, self.targets_max + 1)
-        return sum(map(self.horizon, numbers)) / len(numbers)
+        counts = range(self.targets_min, self.targets_max + 1)
+        return sum(map(self.horizon, counts)) / len(counts)
 
     @property
     def middle_steps_left(self) -> int:
-        """Steps left in the middle of an episode: the value for a robot without an end, at every decision."""
+        """Steps left in the middle of an episode: the constant value for a robot whose task has no end."""
         return round(self.mean_horizon / 2)
 
 
 VERSION = 1
-
-
 MAX_HORIZON = 100_000
-
-
 MAX_LENGTH = 1e9
-"""Larger lengths [m] leave no digits for the agent's view, in any precision."""
+"""Largest length [m]: beyond it no precision has digits left for the agent's view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One scene as in a scenes file. Lengths in metres, drift in m/s, one row a target."""
+    """A scene as in a scenes file: lengths in metres, drift in m/s, a row per target."""
 
     id: str
     agent: tuple[float, ...]
@@ -112,7 +97,7 @@ class Scene:
 
     @property
     def motion(self) -> str:
-        """`unbiased` where every drift is 0, else `biased`."""
+        """`unbiased` if every drift is 0, else `biased`."""
         return "biased" if any(any(row) for row in self.drift) else "unbiased"
 
 
@@ -127,16 +112,16 @@ def scenes_digest(scenes: Sequence[Scene]) -> str:
 
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
-    """The scenes, for an agent that lives in `space`. Raises ValueError as `read_scenes`."""
-    # Through JSON, so that scenes made in Python, perhaps of arrays, meet the same checks as those in files.
+    """Check scenes of an agent in `space`. Raises as `read_scenes`."""
+    # Through JSON, so that scenes made in Python, perhaps of arrays, pass the same checks as those in files.
     rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
     return _scenes(json.loads(rows), "scenes", space, settings)
 
 
 def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
-    """Read a scenes file for an agent that lives in `space`; a missing horizon is the scenario's.
+    """Read a scenes file for an agent in `space`; a missing horizon is the scenario's.
 
-    Raises ValueError in one line that names file, scene, field and what would be right.
+    InputError is one line that names file, scene, field and what would be right.
     """
     data = read_document(path, "scenes", VERSION, "scenes file")
     if unknown := sorted(set(data) - {"scenes"}):
@@ -156,14 +141,13 @@ def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> lis
 def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene:
     if not isinstance(row, dict):
         raise InputError(f"{where}: expected an object with id, agent, targets")
-    known = ("id", "agent", "targets", "drift", "horizon")
-    for name in known[:3]:
-        if name not in row:
-            raise InputError(f"{where}: no {name!r}: expected id, agent and targets")
-    if unknown := sorted(set(row) - set(known)):
-        raise InputError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(known)}")
-    if not isinstance(row["id"], str) or not row["id"]:
-        raise InputError(f"{where}: id = {row['id']!r}: expected a non-empty text")
+    names = ("id", "agent", "targets", "drift", "horizon")
+    if missing := [name for name in names[:3] if name not in row]:
+        raise InputError(f"{where}: no {missing[0]!r}: expected id, agent and targets")
+    if unknown := sorted(set(row) - set(names)):
+        raise InputError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(names)}")
+    is_text = isinstance(row["id"], str) and row["id"] != ""
+    require(is_text, f"{where}: id", row["id"], "expected a non-empty text")
     where = f"{where} ({row['id']!r})"
     agent = _row(row["agent"], f"{where}: agent", None)
     try:
@@ -175,24 +159,22 @@ def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene
     if row.get("drift") is not None:
         drift = _rows(row["drift"], f"{where}: drift", space.dimension)
     if len(drift) != len(targets):
-        raise InputError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one a target")
+        raise InputError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one per target")
     horizon = row.get("horizon", settings.horizon(len(targets)))
-    if isinstance(horizon, bool) or not isinstance(horizon, int) or not 1 <= horizon <= MAX_HORIZON:
-        raise InputError(f"{where}: horizon = {horizon!r}: expected a whole number from 1 to {MAX_HORIZON}")
+    fits = type(horizon) is int and 1 <= horizon <= MAX_HORIZON
+    require(fits, f"{where}: horizon", horizon, f"expected a whole number from 1 to {MAX_HORIZON}")
     return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon)
 
 
 def _rows(value: Any, where: str, width: int) -> tuple[tuple[float, ...], ...]:
-    if not isinstance(value, list):
-        raise InputError(f"{where} = {value!r}: expected a list of rows of {width} numbers")
+    require(isinstance(value, list), where, value, f"expected a list of rows of {width} numbers")
     return tuple(_row(row, f"{where}[{i}]", width) for i, row in enumerate(value))
 
 
 def _row(value: Any, where: str, width: int | None) -> tuple[float, ...]:
     fits = isinstance(value, list) and (width is None or len(value) == width)
-    if not fits or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in value):
-        wanted = "" if width is None else f"{width} "
-        raise InputError(f"{where} = {value!r}: expected {wanted}numbers in a list")
-    if not all(abs(x) <= MAX_LENGTH for x in value):
-        raise InputError(f"{where} = {value!r}: expected finite numbers up to {MAX_LENGTH:g}")
+    numbers = fits and all(type(x) in (int, float) for x in value)
+    require(numbers, where, value, f"expected {'' if width is None else f'{width} '}numbers in a list")
+    in_range = all(abs(x) <= MAX_LENGTH for x in value)
+    require(in_range, where, value, f"expected finite numbers up to {MAX_LENGTH:g}")
     return tuple(float(x) for x in value)

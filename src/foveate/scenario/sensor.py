@@ -1,9 +1,9 @@
-"""Settings of the sensor, and of values that change from step to step."""
+"""Settings of the sensor, and of periodic values."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from foveate.io.validate import Matrix, covariance, matrix, not_negative, positive, require
+from foveate.io.validate import Matrix, at_least, covariance, matrix, positive, require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,8 +12,8 @@ class SensorSettings:
 
     `std_m` is the standard deviation of a measured position [m]; `V` replaces it by a full covariance, `H` measures
     another part of the state. V is given in `frame`; the standard deviation grows with the range r [m] by the factor
-    1 + range_growth_per_m r. With `missed_detections = "used"` the Kalman filter that really runs also learns from not
-    seeing a target inside the view; without, from measurements alone.
+    1 + `range_growth_per_m` r. With `missed_detections` "used" the Kalman filter also learns from targets that were not
+    detected inside the view (models/missed_detection.py); without, from measurements alone.
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"absence": "missed_detections"}
@@ -22,13 +22,11 @@ class SensorSettings:
     H: Matrix | None = None
     frame: Literal["world", "body"] = "world"
     range_growth_per_m: float = 0.0
-    """0 where noise does not depend on the range."""
     missed_detections: Literal["used"] | None = None
-    """Whether the filter uses missed detections; see models/missed_detection.py."""
 
     def __post_init__(self) -> None:
         positive(self, "std_m")
-        not_negative(self, "range_growth_per_m")
+        at_least(0, self, "range_growth_per_m")
         if self.H is not None:
             matrix(self.H, "H", (None, None))
         if self.V is not None:
@@ -40,8 +38,8 @@ class ScheduleSettings:
     """Periodic values: step k takes entry k modulo the length of a list.
 
     `tau_s` is the length of each step [s], for which continuous-time motion (constant velocity, constant acceleration)
-    is discretised; `W` and `V` are covariances in place of the targets' process noise and the sensor's noise. An empty
-    list leaves what the rest of the scenario says.
+    is discretised; `W` and `V` are covariances in place of the targets' process noise and the sensor's noise. If a list
+    is empty, the constant value applies.
     """
 
     tau_s: tuple[float, ...] = ()
@@ -59,5 +57,5 @@ class ScheduleSettings:
 
     @property
     def length(self) -> int:
-        """Period in steps; 0 where nothing changes."""
+        """Period in steps; 0 if nothing changes."""
         return max(len(self.tau_s), len(self.W), len(self.V))

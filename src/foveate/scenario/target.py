@@ -1,6 +1,6 @@
-"""Targets as plain settings: their motion in a step of tau seconds, and the first belief about them.
+"""Settings of targets: their motion in a step of tau seconds, and the first belief about them.
 
-Every kind has `motion(dimension, tau_s)`, the matrices A, B, W, Z of y' = A y + B xi + w, w ~ N(0, W), with position
+Each kind has `motion(dimension, tau_s)`, the matrices A, B, W, Z of y' = A y + B xi + w, w ~ N(0, W), with position
 Z y, and `prior_covariance(dimension)`, the covariance of the first belief.
 """
 
@@ -10,14 +10,15 @@ from typing import Literal
 
 import numpy as np
 
-from foveate.io.validate import Matrix, covariance, matrix, not_negative, positive, require
+from foveate.io.validate import Matrix, at_least, covariance, matrix, positive, require
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
+_VARIANCES = ("initial_variance_m2", "initial_velocity_variance_m2_s2", "initial_acceleration_variance_m2_s4")
 
 
 def integrators(order: int, tau_s: float, intensity: np.ndarray) -> Motion:
-    """A position that is the `order`-fold integral of white noise of spectral density `intensity` (d, d), exactly.
+    """Exact motion of the `order`-fold integral of white noise of spectral density `intensity` (d, d).
 
     The state is (position, velocity, ...), `order` vectors of d numbers; the known input is the noisy derivative
     itself, held over the step. With a = order - 1 - i and b = order - 1 - j: A_ij = tau^(j - i) / (j - i)!,
@@ -32,18 +33,16 @@ def integrators(order: int, tau_s: float, intensity: np.ndarray) -> Motion:
             b = order - 1 - j
             A[i, j] = powers[j - i] if j >= i else 0.0
             W[i, j] = tau_s ** (a + b + 1) / (math.factorial(a) * math.factorial(b) * (a + b + 1))
-    d = len(intensity)
-    eye = np.eye(d)
+    eye, d = np.eye(len(intensity)), len(intensity)
     return np.kron(A, eye), np.kron(B, eye), np.kron(W, intensity), np.eye(d, order * d)
 
 
 def forgetful(tau_s: float, memory_s: float, intensity: np.ndarray) -> Motion:
-    """A velocity that decays as exp(-t / memory_s) and is driven by white noise: the integrated Ornstein-Uhlenbeck
-    process, exactly (but for rounding, while tau is below 20 times the memory).
+    """Motion with a velocity that decays as exp(-t / memory_s), driven by white noise (integrated Ornstein-Uhlenbeck).
 
     With the response phi(s) = (memory (1 - exp(-s / memory)), exp(-s / memory)) of position and velocity to an impulse
-    of acceleration s ago, B = int_0^tau phi ds and W = int_0^tau phi phi^T ds: by Gauss and Legendre, which does not
-    cancel where the memory is long.
+    of acceleration s ago, B = int_0^tau phi ds and W = int_0^tau phi phi^T ds. Gauss-Legendre quadrature avoids
+    cancellation for long memories, and is exact but for rounding while tau is below 20 times the memory.
     """
     nodes, weights = np.polynomial.legendre.leggauss(32)
     weights = 0.5 * tau_s * weights
@@ -59,70 +58,69 @@ def forgetful(tau_s: float, memory_s: float, intensity: np.ndarray) -> Motion:
 
 
 def require_predictable(A: np.ndarray, W: np.ndarray, name: str) -> None:
-    """Raise ValueError where the predicted covariance A P A^T + W is singular, whatever the definite P."""
+    """Raise InputError if the predicted covariance A P A^T + W is singular for definite P."""
     smallest = np.linalg.svd(np.hstack([A, W]), compute_uv=False).min()
     singular = smallest <= 1e-12 * max(np.abs(A).max(), np.abs(W).max())
     right = "the predicted covariance A P A^T + W is singular: W must add noise wherever A loses rank"
     require(not singular, name, (A.tolist(), W.tolist()), right)
 
 
+class _DiagonalPrior:
+    """First belief of targets whose state is a position, or with its derivatives."""
+
+    def prior_covariance(self, dimension: int) -> np.ndarray:
+        """Covariance of the first belief [m^2, m^2/s^2, m^2/s^4]."""
+        variances = [float(getattr(self, name)) for name in _VARIANCES if hasattr(self, name)]
+        return np.diag(np.repeat(variances, dimension))
+
+
 @dataclass(frozen=True, kw_only=True)
-class StaticTarget:
-    """A target that stays where it is: y' = y. It has no place for a drift."""
+class StaticTarget(_DiagonalPrior):
+    """A target that does not move: y' = y. It takes no drift."""
 
     kind: Literal["static"]
     initial_variance_m2: float = 2.0
-    """Of a position in the first belief, on each axis."""
+    """Variance of a position in the first belief, on each axis."""
 
     def __post_init__(self) -> None:
         positive(self, "initial_variance_m2")
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
         """A, B, W, Z."""
-        del tau_s
         eye = np.eye(dimension)
         return eye, np.zeros((dimension, 0)), 0.0 * eye, eye
 
-    def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief [m^2]."""
-        return self.initial_variance_m2 * np.eye(dimension)
-
 
 @dataclass(frozen=True, kw_only=True)
-class DriftTarget:
-    """Position only: y' = y + xi + w, the paper's target. `process_std_m` [m] per step; `W` overrides it in full."""
+class DriftTarget(_DiagonalPrior):
+    """Position only: y' = y + xi + w, the paper's target. `process_std_m` is in [m] per step; `W` replaces it."""
 
     kind: Literal["drift"] = "drift"
     process_std_m: float = 0.05
     W: Matrix | None = None
     initial_variance_m2: float = 2.0
-    """Of a position in the first belief, on each axis."""
+    """Variance of a position in the first belief, on each axis."""
 
     def __post_init__(self) -> None:
-        not_negative(self, "process_std_m")
+        at_least(0, self, "process_std_m")
         positive(self, "initial_variance_m2")
         if self.W is not None:
             covariance(self.W, "W", len(self.W), definite=False)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
         """A, B, W, Z."""
-        del tau_s
         eye = np.eye(dimension)
         W = self.process_std_m**2 * eye if self.W is None else covariance(self.W, "W", dimension, definite=False)
         return eye, eye, W, eye
 
-    def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief [m^2]."""
-        return self.initial_variance_m2 * np.eye(dimension)
-
 
 @dataclass(frozen=True, kw_only=True)
-class VelocityTarget:
+class VelocityTarget(_DiagonalPrior):
     """Nearly constant velocity: y = (position, velocity), acceleration is white noise.
 
     Its spectral density is `acceleration_m2_s3` [m^2/s^3] on each axis, or the matrix `Q`. With `memory_s` the velocity
-    is forgotten within about that time, as by targets that turn and circle: one that is lost is then believed to have
-    stayed about, not to have gone straight on for ever. A target's drift is its first velocity; the known input is an
+    decays with that time constant [s], as for targets that turn and circle: a lost target is then believed to be near
+    its last position, not to go straight on for ever. A target's drift is its first velocity; the known input is an
     acceleration [m/s^2].
     """
 
@@ -131,18 +129,18 @@ class VelocityTarget:
     Q: Matrix | None = None
     memory_s: float | None = None
     initial_variance_m2: float = 2.0
-    """Of a position in the first belief, on each axis."""
+    """Variance of a position in the first belief, on each axis."""
     initial_velocity_variance_m2_s2: float = 1.0
-    """Of a velocity, likewise."""
+    """Variance of a velocity, likewise."""
 
     def __post_init__(self) -> None:
-        not_negative(self, "acceleration_m2_s3")
-        positive(self, "initial_variance_m2", "initial_velocity_variance_m2_s2")
+        at_least(0, self, "acceleration_m2_s3")
+        positive(self, *_VARIANCES[:2])
         if self.Q is not None:
             covariance(self.Q, "Q", len(self.Q), definite=self.memory_s is not None)
         if self.memory_s is not None:
             positive(self, "memory_s")
-            # A velocity that fades without noise is known better and better, without bound.
+            # The information about a velocity that decays without noise grows without bound.
             right = "expected > 0 with memory_s"
             require(self.Q is not None or self.acceleration_m2_s3 > 0, "acceleration_m2_s3", 0.0, right)
 
@@ -154,13 +152,9 @@ class VelocityTarget:
         require(tau_s < 20 * self.memory_s, "memory_s", self.memory_s, f"expected > tau / 20 = {tau_s / 20:g}")
         return forgetful(tau_s, self.memory_s, density)
 
-    def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief [m^2, m^2/s^2]."""
-        return np.diag(np.repeat([self.initial_variance_m2, self.initial_velocity_variance_m2_s2], dimension))
-
 
 @dataclass(frozen=True, kw_only=True)
-class AccelerationTarget:
+class AccelerationTarget(_DiagonalPrior):
     """Nearly constant acceleration: y = (position, velocity, acceleration), jerk is white noise.
 
     Its spectral density is `jerk_m2_s5` [m^2/s^5] on each axis, or the matrix `Q`. A target's drift is its first
@@ -171,16 +165,15 @@ class AccelerationTarget:
     jerk_m2_s5: float = 0.1
     Q: Matrix | None = None
     initial_variance_m2: float = 2.0
-    """Of a position in the first belief, on each axis."""
+    """Variance of a position in the first belief, on each axis."""
     initial_velocity_variance_m2_s2: float = 1.0
-    """Of a velocity, likewise."""
+    """Variance of a velocity, likewise."""
     initial_acceleration_variance_m2_s4: float = 0.25
-    """Of an acceleration, likewise."""
+    """Variance of an acceleration, likewise."""
 
     def __post_init__(self) -> None:
-        not_negative(self, "jerk_m2_s5")
-        names = ("initial_variance_m2", "initial_velocity_variance_m2_s2", "initial_acceleration_variance_m2_s4")
-        positive(self, *names)
+        at_least(0, self, "jerk_m2_s5")
+        positive(self, *_VARIANCES)
         if self.Q is not None:
             covariance(self.Q, "Q", len(self.Q), definite=False)
 
@@ -188,37 +181,25 @@ class AccelerationTarget:
         """A, B, W, Z."""
         return integrators(3, tau_s, _density(self.jerk_m2_s5, self.Q, dimension))
 
-    def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief [m^2, m^2/s^2, m^2/s^4]."""
-        variances = (
-            self.initial_variance_m2,
-            self.initial_velocity_variance_m2_s2,
-            self.initial_acceleration_variance_m2_s4,
-        )
-        return np.diag(np.repeat(variances, dimension))
-
 
 def _density(intensity: float, Q: Matrix | None, dimension: int) -> np.ndarray:
-    """The spectral density of the driving noise (d, d)."""
+    """Spectral density of the driving noise (d, d)."""
     return intensity * np.eye(dimension) if Q is None else covariance(Q, "Q", dimension, definite=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearTarget:
-    """Any linear-Gaussian target y' = A y + B xi + w, position Z y, covariance of the first belief `prior`.
+    """A linear-Gaussian target y' = A y + B xi + w, w ~ N(0, W), position Z y.
 
-    The matrices are those of one step, whatever its length.
+    `A` (n_y x n_y), `B` (n_y x m_y), `W` (n_y x n_y, semidefinite) and `Z` (d x n_y, of rank d) are those of one step
+    of any length; `prior` (n_y x n_y) is the covariance of the first belief.
     """
 
     kind: Literal["linear"]
     A: Matrix
-    """n_y x n_y."""
     B: Matrix
-    """n_y x m_y."""
     W: Matrix
-    """n_y x n_y, semidefinite."""
     Z: Matrix
-    """d x n_y, of rank d."""
     prior: Matrix
 
     def __post_init__(self) -> None:
@@ -231,14 +212,12 @@ class LinearTarget:
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
         """A, B, W, Z."""
-        del tau_s
         Z = matrix(self.Z, "Z", (dimension, len(self.A)))
         require(int(np.linalg.matrix_rank(Z)) == dimension, "Z", self.Z, f"expected rank {dimension}")
         return np.array(self.A), np.array(self.B), np.array(self.W), Z
 
     def prior_covariance(self, dimension: int) -> np.ndarray:
         """Covariance of the first belief."""
-        del dimension
         return np.array(self.prior)
 
 

@@ -36,7 +36,8 @@ def _begun(options: Train) -> Experiment:
     if options.preset is not None and options.config is not None:
         raise InputError("--preset and --config: each is a whole experiment: give one of them")
     experiment = experiment_from(options.config or options.preset or "paper")
-    experiment = adjusted(experiment, options.algorithm, options.epochs, options.episodes, options.steps)
+    budget = {name: getattr(options, name) for name in ("epochs", "episodes", "steps")}
+    experiment = adjusted(experiment, options.algorithm, **budget)
     return for_long_horizons(experiment, options.remat, options.window)
 
 
