@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.simulation import records, step
-from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State
+from foveate.simulation import step
+from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace
 from foveate.types import Action, Key
 
 Decide = Callable[[Observation, Any, Key], tuple[Action, Any, Any]]
@@ -102,7 +102,7 @@ def _play(
     return simulate(problem, following(policy), episode, protocol, key, record, memory=memory, back=back)
 
 
-def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> records.Trace:
+def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Trace:
     """Run one episode and record everything."""
 
     def columns(state: State):
@@ -115,7 +115,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
     first = columns(step.start(problem, episode, protocol))
     states = jax.tree.map(lambda before, after: jnp.concatenate([before[None], after]), first, states)
     log_det = log_det_spd(states["information"][1:])
-    return records.Trace(**states, action=action, log_det=log_det, visible=visible, rejections=rejections)
+    return Trace(**states, action=action, log_det=log_det, visible=visible, rejections=rejections)
 
 
 def log_dets(
