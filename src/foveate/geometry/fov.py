@@ -36,7 +36,7 @@ class FieldOfView(eqx.Module):
     @property
     def depth(self) -> Scalar:
         """Largest distance from the origin of the body frame to a point of F [m], inf if F is unbounded."""
-        return jnp.asarray(jnp.inf, float)
+        return jnp.asarray(jnp.inf)  # weakly typed: takes the dtype of its context
 
     @abc.abstractmethod
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:

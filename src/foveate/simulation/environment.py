@@ -14,8 +14,8 @@ from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.records import Episode, Observation, Protocol, State, per_target
-from foveate.simulation.step import act, instants, observe, predict, start
+from foveate.simulation.records import Episode, Observation, Protocol, State, observe, per_target
+from foveate.simulation.step import act, instants, predict, start
 from foveate.types import Action, Count, Key, Scalar
 
 CHUNK = 64

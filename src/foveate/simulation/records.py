@@ -143,6 +143,19 @@ class State(eqx.Module):
     rejections: Int[Array, " n"] | None = None
 
 
+def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count) -> Observation:
+    """The observation of a predicted state in an episode of `horizon` steps."""
+    return Observation(
+        step=predicted.step,
+        left=horizon - predicted.step,
+        pose=predicted.pose,
+        mean=predicted.mean,
+        information=predicted.information[-1],
+        present=predicted.present,
+        known_input=known_input,
+    )
+
+
 class Instant(eqx.Module):
     """The part of an episode that belongs to one step; None where the episode has no such part."""
 

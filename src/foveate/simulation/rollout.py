@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.simulation import step
-from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace
+from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
 from foveate.types import Action, Key
 
 Decide = Callable[[Observation, Any, Key], tuple[Action, Any, Any]]
@@ -57,7 +57,7 @@ def simulate(
             carry = _detached(carry, carry[0].step % back.window == 0)
         state, memory = carry
         predicted = step.predict(problem, state, instant.known_input)
-        observation = step.observe(predicted, instant.known_input, episode.horizon)
+        observation = observe(predicted, instant.known_input, episode.horizon)
         action, memory, notes = decide(observation, memory, jax.random.fold_in(key, state.step))
         draft = step.act(problem, protocol, predicted, instant, action)
         outcome = Outcome(observation, action, notes, draft.state, draft.measured, draft.weight)
@@ -98,7 +98,7 @@ def _play(
 ) -> PyTree:
     """Simulate an episode with a policy."""
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
-    memory = policy.start(step.observe(predicted, episode.inputs[0], episode.horizon))
+    memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon))
     return simulate(problem, following(policy), episode, protocol, key, record, memory=memory, back=back)
 
 

@@ -19,8 +19,8 @@ from foveate.models.belief import Belief
 from foveate.models.missed_detection import given_missed_detection
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import detection_weight
-from foveate.simulation.records import Episode, Instant, Observation, Protocol, State
-from foveate.types import Action, Count, Pose
+from foveate.simulation.records import Episode, Instant, Protocol, State
+from foveate.types import Action, Pose
 
 
 class Sensed(NamedTuple):
@@ -34,19 +34,12 @@ class Sensed(NamedTuple):
     measurement: Float[Array, "n n_z"]
 
 
-class Restart(NamedTuple):
-    """New beliefs of all targets from their measurements, to be used where `where` holds."""
-
-    where: Bool[Array, " n"]
-    belief: Belief
-
-
 class Draft(NamedTuple):
     """A step in progress: the results of its stages.
 
     `state` begins as the predicted one and ends as that after the update. `covariance` is V as the filter believes it,
     at the predicted means; `measured` marks the targets whose measurement is taken; `weight` is the share of a
-    measurement's information that each level counts.
+    measurement's information that each level counts; `restart` marks the beliefs to be replaced, and holds new ones.
     """
 
     predicted: State
@@ -57,7 +50,7 @@ class Draft(NamedTuple):
     measured: Bool[Array, " n"]
     weight: Float[Array, "levels n"]
     sensed: Sensed | None = None
-    restart: Restart | None = None
+    restart: tuple[Bool[Array, " n"], Belief] | None = None
 
 
 Stage = Callable[[Problem, Protocol, Draft], Draft]
@@ -66,12 +59,8 @@ Stage = Callable[[Problem, Protocol, Draft], Draft]
 
 def instants(episode: Episode) -> Instant:
     """An episode cut into its steps: every array gets a leading axis of K."""
-    truth, arrivals = episode.truth, episode.arrivals
-    return Instant(
-        known_input=episode.inputs,
-        truth=truth and replace(truth, state=truth.state[1:]),
-        arrivals=arrivals and jax.tree.map(lambda part: part[1:], arrivals),
-    )
+    truth = episode.truth and replace(episode.truth, state=episode.truth.state[1:])
+    return Instant(episode.inputs, truth, episode.arrivals and jax.tree.map(lambda part: part[1:], episode.arrivals))
 
 
 def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
@@ -93,24 +82,8 @@ def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) 
     """Predict every belief one step ahead; the pose is still T_k."""
     problem = problem.at(state.step)
     ahead = jax.vmap(jax.vmap(belief.predict_information, (0, None)), (0, None))
-    return replace(
-        state,
-        mean=problem.motion.advance(state.mean, known_input),
-        information=ahead(state.information, problem.motion),
-    )
-
-
-def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count) -> Observation:
-    """The observation of a predicted state in an episode of `horizon` steps."""
-    return Observation(
-        step=predicted.step,
-        left=horizon - predicted.step,
-        pose=predicted.pose,
-        mean=predicted.mean,
-        information=predicted.information[-1],
-        present=predicted.present,
-        known_input=known_input,
-    )
+    information = ahead(state.information, problem.motion)
+    return replace(state, mean=problem.motion.advance(state.mean, known_input), information=information)
 
 
 def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stage, ...]:
@@ -192,7 +165,7 @@ def gate_measurements(problem: Problem, protocol: Protocol, draft: Draft) -> Dra
     restarts = rejected & (rejections + 1 >= gate.RESTART_AFTER)
     measured = (sensed.in_view & ~rejected) | restarts
     state = replace(draft.state, rejections=jnp.where(measured, 0, rejections + rejected))
-    return draft._replace(state=state, measured=measured, restart=Restart(restarts, fresh))
+    return draft._replace(state=state, measured=measured, restart=(restarts, fresh))
 
 
 def correct_means(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
@@ -231,8 +204,8 @@ def update_information(problem: Problem, protocol: Protocol, draft: Draft) -> Dr
 def restart_beliefs(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """Take the one-point belief where `gate_measurements` restarts one."""
     assert draft.restart is not None, "`gate_measurements` comes first"
-    fresh = draft.restart.belief
-    return _with_beliefs(draft, draft.restart.where, fresh.mean, fresh.information)
+    where, fresh = draft.restart
+    return _with_beliefs(draft, where, fresh.mean, fresh.information)
 
 
 def use_missed_detections(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
