@@ -29,8 +29,8 @@ from foveate.experiment.presets import PRESETS
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.policies.heuristics import heuristic
-from foveate.simulation.records import TRUE, Episode, Policy, State
-from foveate.simulation.step import act, instants, observe, predict, start
+from foveate.simulation.records import TRUE, Episode, Policy, State, observe
+from foveate.simulation.step import act, instants, predict, start
 from foveate.simulation.suites import table1
 from foveate.types import Key
 

@@ -1,4 +1,4 @@
-"""The glossary: array aliases, axis names and frames.
+"""Array aliases, axis names of shapes, and frames.
 
 Axis names used in shape annotations
     d     dimension of space: 2 in the plane, 3 in space
@@ -10,8 +10,8 @@ Axis names used in shape annotations
     n_u   length of a twist: 3 in the plane, 6 in space
 
 Frames are part of a name
-    *_world   in the frame in which targets and agent live
-    *_body    in the agent's own frame: x ahead, y to the left, z up
+    *_world   the frame in which targets and agent live
+    *_body    the agent's own frame: x ahead, y to the left, z up
 
 Units are metres, seconds and radians.
 """
@@ -21,33 +21,20 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 Key = PRNGKeyArray
 """A typed JAX random key, used once."""
 
-
 Pose = Float[Array, "..."]
 """Planar: [x, y, yaw], shape (3,). Spatial: homogeneous transform T, shape (4, 4). Body to world."""
-
 
 Twist = Float[Array, " n_u"]
 """Body-frame velocity u = [v; w]. Planar: [v_x, v_y, w_z]. Spatial: [v_x, v_y, v_z, w_x, w_y, w_z]. [m/s, rad/s]"""
 
-
 Action = Float[Array, " m"]
 """Normalised command in [-1, 1] for every actuated axis; the agent maps it to a twist within its limits."""
-
 
 Point = Float[Array, " d"]
 """A position [m]; the frame is in the variable's name."""
 
-
 Mean = Float[Array, " n_y"]
-
-
 Information = Float[Array, "n_y n_y"]
-
-
 Scalar = Float[Array, ""]
-
-
 Flag = Bool[Array, ""]
-
-
 Count = Int[Array, ""]

@@ -29,8 +29,8 @@ from foveate.recordings.formats import load_recording
 from foveate.recordings.replay import VERSION, prepare_replay, replay, result
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings, write_scenes
-from foveate.simulation.records import PROTOCOLS
-from foveate.simulation.step import observe, predict, start
+from foveate.simulation.records import PROTOCOLS, observe
+from foveate.simulation.step import predict, start
 
 HERE = Path(__file__).parent
 SCENES = SceneSettings(targets_min=1, targets_max=2, steps=4, drift_m_s=(0.1, 0.1))

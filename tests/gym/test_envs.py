@@ -128,7 +128,7 @@ def test_what_is_seen_is_the_belief_in_the_agents_frame():
     """By hand: the predicted mean in the body frame in units of the view's depth, asinh of the turned information."""
     env = make()
     seen, _ = env.reset(seed=1, options={"targets": 8})
-    moment = env._task.batch.moments
+    moment = env._task.batch.states
     x, y, yaw = np.asarray(moment.predicted.pose[0])
     R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     beliefs = (np.asarray(x) for x in (moment.predicted.mean[0], moment.predicted.information[0, 0]))
@@ -184,7 +184,7 @@ def test_a_window_shows_each_step(monkeypatch):
 
 def test_unknown_scenario_is_rejected():
     with pytest.raises(InputError, match=r"nobody: expected a preset \(paper, "):
-        Task(TaskSettings("nobody"), 1, anew=False)
+        Task(TaskSettings("nobody"), 1, autoreset=False)
 
 
 def test_wrong_use_is_named():

@@ -11,7 +11,7 @@ from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation import environment as under_test
-from foveate.simulation.environment import Environment, begin, observation, reset, step, step_and_reset
+from foveate.simulation.environment import Environment, begin, observation, renew, reset, step
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import SURROGATE, TRUE, Policy, Protocol
 from foveate.simulation.rollout import rollout
@@ -93,7 +93,8 @@ def test_a_first_score_is_that_of_the_prior() -> None:
 @eqx.filter_jit
 def batch(environment: Environment, keys, actions):
     def one(moments, now):
-        moments, transition = step_and_reset(environment, moments, now)
+        moments, transition = jax.vmap(step, (None, 0, 0))(environment, moments, now)
+        moments = renew(environment, moments, transition.done)
         return moments, (transition, jax.vmap(observation)(moments), jax.random.key_data(moments.key))
 
     return jax.lax.scan(one, jax.vmap(reset, (None, 0))(environment, keys), actions)[1]

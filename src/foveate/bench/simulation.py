@@ -11,7 +11,7 @@ from foveate.models.problem import first_information
 from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.inputs import masked_features
-from foveate.simulation.batch import Batch, Programs
+from foveate.simulation.batch import Batch, CompiledEnvironments
 from foveate.simulation.environment import Environment
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import PROTOCOLS, SURROGATE, Episode, Observation
@@ -55,7 +55,8 @@ def environments(experiment: Experiment, repeats: int) -> list[Metric]:
     def features(observation: Observation, left: jax.Array) -> jax.Array:
         return masked_features(observation, left, problem.agent.space, "body").row
 
-    batch = Batch(Programs(Environment(problem, scenario.scenes, PROTOCOLS["true"], True), features, ENVIRONMENTS))
+    environment = Environment(problem, scenario.scenes, PROTOCOLS["true"], True)
+    batch = Batch(CompiledEnvironments(environment, features, ENVIRONMENTS))
     batch.renew(jax.random.split(jax.random.key(0), ENVIRONMENTS))
     shape = (32, ENVIRONMENTS, batch.axes)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)

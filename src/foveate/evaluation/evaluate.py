@@ -15,9 +15,9 @@ from foveate.evaluation.metrics import measures
 from foveate.learning.devices import cores
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
-from foveate.simulation.records import PROTOCOLS, Episode, Policy, Protocol, Trace, Truth
+from foveate.simulation.records import PROTOCOLS, Episode, Policy, Protocol, Trace, Truth, observe
 from foveate.simulation.rollout import rollout
-from foveate.simulation.step import observe, predict, start
+from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
 
 CHUNK = 256

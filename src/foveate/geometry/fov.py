@@ -1,14 +1,15 @@
-"""Fields of view: regions of the body frame with an exact signed distance. Here: half-spaces and balls.
+"""Fields of view: regions of the body frame with an exact signed distance; half-spaces and balls.
 
-The lower-case function of a shape's name makes it from plain numbers, which it checks. The classes check nothing, so
-that their parameters may be traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`. More are in
-`fov_planar` and `fov_spatial`. Products of coordinates are summed elementwise, never by matmul, which accelerators
-round to fewer bits.
+More shapes are in `fov_planar` and `fov_spatial`. The lower-case function of a shape's name makes it from plain
+numbers, and raises InputError where one is out of range. The classes check nothing, so that their parameters may be
+traced: `jax.vmap(lambda d, a: ConvexPolygon(triangle_vertices(d, a)))`. Products of coordinates are summed elementwise,
+never by matmul, which accelerators round to fewer bits.
 """
 
 import abc
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,15 +26,17 @@ Number = float | int
 class FieldOfView(eqx.Module):
     """A closed region F of the body frame (x ahead, y to the left, z up), lengths in metres."""
 
-    @property
-    @abc.abstractmethod
-    def dimension(self) -> int:
-        """2 in the plane, 3 in space."""
+    _dimension: ClassVar[int] = 2
 
     @property
-    @abc.abstractmethod
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return self._dimension
+
+    @property
     def depth(self) -> Scalar:
         """Largest distance from the origin of the body frame to a point of F [m], inf if F is unbounded."""
+        return jnp.asarray(jnp.inf)  # weakly typed: takes the dtype of its context
 
     @abc.abstractmethod
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
@@ -46,7 +49,7 @@ class FieldOfView(eqx.Module):
     def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
         """Lines to draw [m]: one closed (M, 2) polyline in the plane, a list of (M, 3) polylines in space.
 
-        `reach` [m] is how far from the origin an unbounded shape is drawn.
+        An unbounded shape is drawn up to `reach` [m] from the origin.
         """
 
     def contains(self, point_body: Float[Array, "... d"]) -> Bool[Array, "..."]:
@@ -73,13 +76,8 @@ class HalfSpace(FieldOfView):
 
     @property
     def dimension(self) -> int:
-        """2 or 3, as the normal's length."""
+        """2 or 3, the length of the normal."""
         return self.normal.shape[-1]
-
-    @property
-    def depth(self) -> Scalar:
-        """inf: a half-space is unbounded [m]."""
-        return jnp.full_like(self.offset, jnp.inf)
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
         """normal . p - offset [m]."""
@@ -97,10 +95,7 @@ class HalfSpace(FieldOfView):
 
 
 def half_space(normal: np.ndarray | Sequence[Number], offset: Number) -> HalfSpace:
-    """The half-space behind the plane at signed distance `offset` [m] along `normal`, of any length > 0.
-
-    Raises InputError where the normal is not 2 or 3 finite numbers with one != 0, or the offset not finite.
-    """
+    """The half-space behind the plane at signed distance `offset` [m] along `normal`, of any length > 0."""
     direction = np.asarray(normal, float)
     ok = direction.shape in {(2,), (3,)} and np.isfinite(direction).all() and direction.any()
     require(ok, "normal", direction.tolist(), "expected 2 or 3 finite numbers, not all 0")
@@ -116,7 +111,7 @@ class Ball(FieldOfView):
 
     @property
     def dimension(self) -> int:
-        """2 or 3, as the centre's length."""
+        """2 or 3, the length of the centre."""
         return self.center.shape[-1]
 
     @property
@@ -137,7 +132,7 @@ class Ball(FieldOfView):
 
 
 def ball(center: np.ndarray | Sequence[Number], radius: Number) -> Ball:
-    """Disc (2 coordinates) or ball (3) of `radius` > 0 [m]. Raises InputError where a value is out of range."""
+    """Disc (2 coordinates) or ball (3) of `radius` > 0 [m]."""
     middle = np.asarray(center, float)
     ok = middle.shape in {(2,), (3,)} and np.isfinite(middle).all()
     require(ok, "center", middle.tolist(), "expected 2 or 3 finite numbers [m]")

@@ -20,10 +20,10 @@ def height_and_overshoot(
     end: Float[Array, "... 2"],
     tangent: Float[Array, "... 2"],
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Height of a point to the right of a segment's line, and how far its foot lies beyond the ends, else 0 [m].
+    """Height of a point to the right of a segment's line, and the distance of its foot beyond the ends, else 0 [m].
 
-    Both are measured from the nearer end: near a sharp corner, the sides of which are hard to tell apart, they
-    are exact to a rounding error of their own size, not of the segment's.
+    Both are measured from the nearer end: near a sharp corner, whose sides are almost equal, their rounding errors are
+    in proportion to their own size, not to the segment's.
     """
     t_x, t_y = tangent[..., 0], tangent[..., 1]
     from_start, from_end = point - start, point - end
@@ -40,11 +40,6 @@ class ConvexPolygon(FieldOfView):
     vertices: Float[Array, "v 2"]
 
     @property
-    def dimension(self) -> int:
-        """2: the plane."""
-        return 2
-
-    @property
     def depth(self) -> Scalar:
         """Distance of the farthest vertex from the origin [m]."""
         return jnp.sqrt(jnp.max(jnp.sum(self.vertices**2, axis=-1)))
@@ -52,9 +47,9 @@ class ConvexPolygon(FieldOfView):
     def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
         """Distance to the nearest edge, negative where the point is left of all edges [m].
 
-        d = +-sqrt(h^2 + e^2), h the height over the nearest edge's line, e how far the foot of the point lies
-        beyond the edge's ends. Which edge is nearest has no derivative: only that edge is differentiated. Beside a
-        sharp corner both of its sides may be nearest, up to rounding: the one that the point is right of counts.
+        d = +-sqrt(h^2 + e^2), h the height over the nearest edge's line, e the distance of the point's foot beyond the
+        edge's ends. The choice of the edge has no derivative: only the nearest edge is differentiated. Beside a sharp
+        corner both of its sides may be nearest, up to rounding: the one that the point is right of counts.
         """
         ends = jnp.roll(self.vertices, -1, axis=0)
         edges = ends - self.vertices
@@ -84,10 +79,7 @@ def triangle_vertices(depth: Scalar | Number, angle: Scalar | Number) -> Float[A
 
 
 def triangle(depth: Number, angle: Number) -> ConvexPolygon:
-    """The paper's field of view: apex at the agent, opening along +x, `depth` [m] to its far edge.
-
-    `angle` [rad] is the full one, in (0, pi). Raises ValueError where either is out of range.
-    """
+    """The paper's field of view: apex at the agent, full `angle` in (0, pi) [rad] about +x, far edge at `depth` [m]."""
     require(0 < depth < math.inf, "depth", depth, "expected a finite number > 0 [m]")
     require(0 < angle < math.pi, "angle", angle, "expected a number in (0, pi) [rad]")
     return ConvexPolygon(triangle_vertices(depth, angle))
@@ -96,8 +88,7 @@ def triangle(depth: Number, angle: Number) -> ConvexPolygon:
 def polygon(vertices: np.ndarray | Sequence[Sequence[Number]]) -> ConvexPolygon:
     """The convex polygon through `vertices` (v, 2) [m], listed in order around it, in either sense.
 
-    Raises ValueError for fewer than 3 vertices, a value that is not finite, a repeated vertex, zero area, or
-    a shape that is not convex (turns of both signs, or more than one turn in all), up to 1e-6 rad.
+    Convex up to 1e-6 rad: no turns of both signs, and one turn in all.
     """
     points = np.asarray(vertices, jnp.result_type(float)).astype(float)  # rounded as it will be stored
     ok = points.ndim == 2 and points.shape[0] >= 3 and points.shape[1] == 2
@@ -122,8 +113,8 @@ def annular_sector_distance(
 ) -> Float[Array, "..."]:
     """Signed distance [m] of (ahead, aside >= 0) to {near <= r <= far, |bearing| <= half_angle}.
 
-    Within the angle the boundary is nearest along the ray through the point (a circle) or on the straight
-    side; beyond the angle it is the straight side, by reflection in the axis the one on the same side.
+    Within the angle the nearest boundary is a circle (along the ray through the point) or a straight side; beyond the
+    angle it is the straight side that is, by reflection in the axis, on the point's own side.
     """
     full = half_angle >= math.pi
     u_x, u_y = jnp.cos(half_angle), jnp.sin(half_angle)
@@ -138,10 +129,7 @@ def annular_sector_distance(
 
 
 def annular_sector_outline(near: float, far: float, half_angle: float) -> np.ndarray:
-    """Closed boundary (M, 2) [m] of an annular sector.
-
-    A full ring is joined to its hole by a cut; a full disc is a circle.
-    """
+    """Closed boundary (M, 2) [m] of an annular sector; a cut joins a full ring to its hole, a full disc is a circle."""
     unit = arc(-half_angle, half_angle)
     inner = near * unit[::-1] if near > 0 else np.zeros((int(half_angle < math.pi), 2))
     return closed(np.concatenate([far * unit, inner]))
@@ -153,11 +141,6 @@ class Sector(FieldOfView):
     radius: Scalar
     angle: Scalar
     near: Scalar
-
-    @property
-    def dimension(self) -> int:
-        """2: the plane."""
-        return 2
 
     @property
     def depth(self) -> Scalar:
@@ -175,10 +158,7 @@ class Sector(FieldOfView):
 
 
 def sector(radius: Number, angle: Number, near: Number = 0.0) -> Sector:
-    """The sector of full angle (0, 2 pi] [rad] about +x between the ranges `near` >= 0 and `radius` [m].
-
-    At 2 pi it is the full disc or ring. Raises ValueError where a parameter is out of range.
-    """
+    """The sector about +x (at 2 pi the full disc or ring) between the ranges `near` >= 0 and `radius` [m]."""
     require(0 < radius < math.inf, "radius", radius, "expected a finite number > 0 [m]")
     require(0 < angle <= 2 * math.pi, "angle", angle, "expected a number in (0, 2 pi] [rad]")
     require(0 <= near < radius, "near", near, f"expected a number in [0, radius = {radius}) [m]")

@@ -22,10 +22,7 @@ class Cone(FieldOfView):
     far: Scalar
     angle: Scalar
 
-    @property
-    def dimension(self) -> int:
-        """3: space."""
-        return 3
+    _dimension = 3
 
     @property
     def depth(self) -> Scalar:
@@ -47,14 +44,15 @@ class Cone(FieldOfView):
 
 
 def cone(near: Number, far: Number, angle: Number) -> Cone:
-    """The cone of full angle (0, 2 pi] [rad] about +x between the slant ranges near >= 0 and far [m].
-
-    At 2 pi it is the full ball or shell. Raises ValueError where a parameter is out of range.
-    """
-    require(0 < far < math.inf, "far", far, "expected a finite number > 0 [m]")
-    require(0 <= near < far, "near", near, f"expected a number in [0, far = {far}) [m]")
+    """The cone about +x (at 2 pi the full ball or shell) between the slant ranges `near` >= 0 and `far` [m]."""
+    _check_ranges(near, far)
     require(0 < angle <= 2 * math.pi, "angle", angle, "expected a number in (0, 2 pi] [rad]")
     return Cone(*(jnp.asarray(value, float) for value in (near, far, angle)))
+
+
+def _check_ranges(near: Number, far: Number) -> None:
+    require(0 < far < math.inf, "far", far, "expected a finite number > 0 [m]")
+    require(0 <= near < far, "near", near, f"expected a number in [0, far = {far}) [m]")
 
 
 class Frustum(FieldOfView):
@@ -68,10 +66,7 @@ class Frustum(FieldOfView):
     width_angle: Scalar
     height_angle: Scalar
 
-    @property
-    def dimension(self) -> int:
-        """3: space."""
-        return 3
+    _dimension = 3
 
     @property
     def depth(self) -> Scalar:
@@ -82,11 +77,11 @@ class Frustum(FieldOfView):
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """Inside and before a face the largest height over a face, else the distance to the nearest edge [m].
 
-        Folded to y, z >= 0, the nearest point of the wedge between the two sides is found first: the point itself,
-        its foot on a side or on the edge between them. The squared distance to the wedge's cross-section at s is
-        convex in s, so that the frustum's nearest point is at that section, kept within near and far. Which face or
-        edge counts has no derivative; each distance is written in coordinates across it, so that its gradient has
-        norm 1 however near the point is.
+        Folded to y, z >= 0, the nearest point of the wedge between the two sides comes first: the point itself, its
+        foot on a side or on the edge between them. The squared distance to the wedge's cross-section at s is convex in
+        s, so that the frustum's nearest point is at that section, clipped to near and far. The choice of face or edge
+        has no derivative; each distance is written in coordinates across it, so that its gradient has norm 1 at any
+        distance.
         """
         x, y, z = point_body[..., 0], jnp.abs(point_body[..., 1]), jnp.abs(point_body[..., 2])
         half_width, half_height = self.width_angle / 2, self.height_angle / 2
@@ -116,31 +111,19 @@ class Frustum(FieldOfView):
 
 
 def frustum(near: Number, far: Number, width_angle: Number, height_angle: Number) -> Frustum:
-    """The camera's view between the planes x = near >= 0 and x = far [m], full angles in (0, pi) [rad].
-
-    Raises ValueError where a parameter is out of range.
-    """
-    require(0 < far < math.inf, "far", far, "expected a finite number > 0 [m]")
-    require(0 <= near < far, "near", near, f"expected a number in [0, far = {far}) [m]")
+    """The camera's view between the planes x = near >= 0 and x = far [m], full angles in (0, pi) [rad]."""
+    _check_ranges(near, far)
     require(0 < width_angle < math.pi, "width_angle", width_angle, "expected a number in (0, pi) [rad]")
     require(0 < height_angle < math.pi, "height_angle", height_angle, "expected a number in (0, pi) [rad]")
     return Frustum(*(jnp.asarray(value, float) for value in (near, far, width_angle, height_angle)))
 
 
 class Prism(FieldOfView):
-    """A shape of the plane, extended without end along z: a planar agent's view, in space."""
+    """A planar shape, unbounded along z: a planar agent's view in space."""
 
     base: FieldOfView
 
-    @property
-    def dimension(self) -> int:
-        """3: space."""
-        return 3
-
-    @property
-    def depth(self) -> Scalar:
-        """inf: a prism is unbounded [m]."""
-        return jnp.full_like(self.base.depth, jnp.inf)
+    _dimension = 3
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """Distance of the point's foot in the plane to the base [m]."""
@@ -154,7 +137,7 @@ class Prism(FieldOfView):
 
 
 def prism(base: FieldOfView) -> Prism:
-    """The prism over a shape of the plane. Raises InputError for a shape of space."""
+    """The prism over a planar shape."""
     require(base.dimension == 2, "dimension of the prism's base", base.dimension, "expected 2")
     return Prism(base)
 
@@ -175,10 +158,10 @@ class Intersection(FieldOfView):
         return jnp.min(jnp.stack([shape.depth for shape in self.shapes]))
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
-        """The largest of the members' signed distances [m]: exact inside, outside a lower bound.
+        """The largest of the members' signed distances [m]: exact inside, a lower bound outside.
 
-        The complement of an intersection is the union of complements, and the distance to a union is the
-        least of the distances; outside, each member's distance is at most that to the smaller intersection.
+        The complement of an intersection is the union of complements, and the distance to a union is the least of the
+        distances; outside, each member's distance is at most that to the smaller intersection.
         """
         return reduce(larger, [shape.signed_distance(point_body) for shape in self.shapes])
 
@@ -192,9 +175,9 @@ class Intersection(FieldOfView):
             for line in outline if isinstance(outline, list) else [outline]:
                 fine = np.linspace(line[:-1], line[1:], max(2, 2000 // len(line)), axis=1)
                 lines.append(fine.reshape(-1, self.dimension))
-        seen = np.asarray(eqx.filter_jit(self.signed_distance)(jnp.asarray(np.concatenate(lines)))) <= 1e-5 * reach
+        inside = np.asarray(eqx.filter_jit(self.signed_distance)(jnp.asarray(np.concatenate(lines)))) <= 1e-5 * reach
         pieces = []
-        for line, kept in zip(lines, np.split(seen, np.cumsum([len(line) for line in lines])[:-1]), strict=True):
+        for line, kept in zip(lines, np.split(inside, np.cumsum([len(line) for line in lines])[:-1]), strict=True):
             runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(kept)) + 1)
             pieces += [line[run] for run in runs if kept[run[0]]]
         if self.dimension == 3:
@@ -205,9 +188,7 @@ class Intersection(FieldOfView):
 
 
 def intersection(*shapes: FieldOfView) -> Intersection:
-    """Intersection of `shapes`. Raises InputError for none, or for shapes of different dimensions."""
-    dimensions = [shape.dimension for shape in shapes]
-    require(
-        len(set(dimensions)) == 1, "dimensions of the shapes", dimensions, "expected equal ones, of at least one shape"
-    )
+    """Intersection of at least one shape, all of one dimension."""
+    dimensions, equal = [shape.dimension for shape in shapes], "expected equal ones, of at least one shape"
+    require(len(set(dimensions)) == 1, "dimensions of the shapes", dimensions, equal)
     return Intersection(shapes)

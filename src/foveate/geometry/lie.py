@@ -4,10 +4,10 @@ Twists are [v; w], translation first, in the body frame. A spatial pose is the 4
 function takes leading batch axes, which broadcast, and keeps the dtype. Metres and radians.
 
 Numerics. The removable singularities of the exponential are functions of the *squared* angle: a Taylor series
-below 1 rad, the closed form above, each behind a `where` that keeps the other's argument harmless. Switching
-that late, the closed forms cancel nowhere, so one switch serves float32 and float64, first and second
-derivatives. Products of small matrices are written as multiply-and-sum: a float32 `@` may run in reduced
-precision on an accelerator, and XLA fuses the sum with what surrounds it.
+below 1 rad, the closed form above, each behind a `where` that keeps the other's argument harmless. Above 1 rad the
+closed forms do not cancel, so one switch serves float32 and float64, first and second derivatives. Products of small
+matrices are written as multiply-and-sum: a float32 `@` may run in reduced precision on an accelerator, and XLA fuses
+the sum with its surroundings.
 """
 
 import jax.numpy as jnp
@@ -91,13 +91,13 @@ def quaternion_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 4"]:
 
 
 def rotation_quaternion(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
-    """R = I + 2 q_w n^ + 2 (n^)^2 of a quaternion [q_w; n], here of any length but zero."""
+    """R = I + 2 q_w n^ + 2 (n^)^2 of a quaternion [q_w; n] of any length but zero, normalised."""
     scale = 2.0 / jnp.sum(quaternion * quaternion, axis=-1)
     return _axis_series(quaternion[..., 1:], scale * quaternion[..., 0], scale)
 
 
 def log_so3(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
-    """The rotation vector w, |w| <= pi, with exp(w^) = R; at exactly pi one of the two that are right.
+    """The rotation vector w, |w| <= pi, with exp(w^) = R; at exactly pi one of the two solutions.
 
     w = 2 atan2(|n|, q_w) n / |n| with R's unit quaternion [q_w; n], smooth near the identity and near pi.
     """

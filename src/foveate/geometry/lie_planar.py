@@ -1,6 +1,6 @@
 """The group SE(2): exponential, logarithm and action of planar poses.
 
-A pose is the vector [x, y, yaw], whose yaw counts turns and is never wrapped by a composition; a twist is [v_x, v_y, w]
+A pose is the vector [x, y, yaw]; yaw counts turns, and a composition never wraps it. A twist is [v_x, v_y, w]
 in the body frame. Every function takes leading batch axes, which broadcast, and keeps the dtype. Metres and radians.
 The numerics are those of `lie`.
 """
@@ -32,7 +32,7 @@ def rotation_se2(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 2 2"]:
 def move_se2(pose: Float[Array, "*#b 3"], twist: Float[Array, "*#b 3"]) -> Float[Array, "... 3"]:
     """T exp(hat(twist)): the pose after a constant twist for unit time.
 
-    An arc of w radians is its chord, sinc(w/2) times as long, seen at half the angle:
+    An arc of w radians has a chord sinc(w/2) times as long, at half the angle:
     position' = position + sinc(w/2) R(yaw + w/2) v. This has no 1 - cos w to cancel, and needs R only once.
     """
     half_turn = 0.5 * twist[..., 2]

@@ -27,7 +27,7 @@ def symmetrise(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
 
 
 def _pivots(m: Float[Array, "*b n n"]) -> tuple[list, list]:
-    """LDL^T of a small matrix by elimination: unit lower factor L as rows, and the pivots D."""
+    """LDL^T of a small matrix by elimination: rows of the unit lower factor L, and the pivots D."""
     size = m.shape[-1]
     lower: list[list] = [[None] * size for _ in range(size)]
     pivots: list = []
@@ -132,9 +132,9 @@ def _product_type(a: ShapedArray, b: ShapedArray) -> ShapedArray:
     return a.update(shape=(*batch, a.shape[-2], b.shape[-1]), weak_type=False)
 
 
-# A primitive, so that the derivatives of a product are such products too. Those that JAX finds itself, by transposing
-# each broadcast into a small reduction and each slice into a pad, cost 15 times the product on the CPU. It can go when
-# `jax.custom_derivatives.linear_call`, which lets a function name its transpose, also has a batching rule and can be
+# A primitive, so that the derivatives of a product are such products too. JAX's own derivatives, which transpose each
+# broadcast into a small reduction and each slice into a pad, cost 15 times the product on the CPU. It can go when
+# `jax.custom_derivatives.linear_call`, by which a function names its transpose, also has a batching rule and can be
 # differentiated by its residuals (jax 0.10 has neither): then a `custom_jvp` with two such calls does the same.
 _product = Primitive("small_product")
 _product.def_impl(_outer_products)
@@ -151,7 +151,7 @@ batching.primitive_batchers[_product] = _batched
 
 
 def _summed(cotangent: Array, shape: tuple[int, ...]) -> Array:
-    """Summed over the axes along which an argument of that shape was broadcast."""
+    """Sum over the axes along which an argument of this shape was broadcast."""
     axes = tuple(i for i, (wide, narrow) in enumerate(zip(cotangent.shape, shape, strict=True)) if wide != narrow)
     return jnp.sum(cotangent, axis=axes, keepdims=True) if axes else cotangent
 

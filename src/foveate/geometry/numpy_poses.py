@@ -1,6 +1,6 @@
 """Pose algebra in numpy, for recorded episodes and for robots: positions, rotations, and the arc between two poses.
 
-Planar poses are [x, y, yaw], those of space 4 x 4 matrices, body to world. `space` has the same in JAX, which would
+Planar poses are [x, y, yaw], spatial ones 4 x 4 matrices, body to world. `space` has the same in JAX, which would
 compile again for every length of an episode; `tests/geometry/test_numpy_poses.py` compares the two.
 """
 
@@ -14,7 +14,7 @@ def positions(pose: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... d"]:
 
 
 def rotation(pose: Float[np.ndarray, "..."]) -> Float[np.ndarray, "d d"]:
-    """R of ONE pose, body to world."""
+    """R of a single pose, body to world."""
     if not _planar(pose):
         return pose[:3, :3]
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
@@ -22,14 +22,14 @@ def rotation(pose: Float[np.ndarray, "..."]) -> Float[np.ndarray, "d d"]:
 
 
 def placed(pose: Float[np.ndarray, "..."], points_body: Float[np.ndarray, "*m d"]) -> Float[np.ndarray, "*m d"]:
-    """Body-frame points of ONE pose in the world [m]."""
+    """World positions of a single pose's body-frame points [m]."""
     return points_body @ rotation(pose).T + positions(pose)
 
 
 def arc(pose: Float[np.ndarray, "instants ..."], parts: int) -> Float[np.ndarray, "poses ..."]:
-    """Poses along the way, `parts` per step, with a constant twist from one pose to the next.
+    """Poses along the path, `parts` per step, with a constant twist from one pose to the next.
 
-    That is T exp(s log(T^-1 T')) at s = 0, 1/parts, ...: the way the agent took, in space if it turned by at most pi in
+    They are T exp(s log(T^-1 T')) at s = 0, 1/parts, ...: the agent's true path, in space if it turned by at most pi in
     the step. In the plane the yaw counts turns; only a whole turn, which leads nowhere, is taken for none.
     """
     between = (_planar_arc if _planar(pose) else _spatial_arc)(pose[:-1], pose[1:], np.arange(parts) / parts)
@@ -40,12 +40,10 @@ def _planar(pose: np.ndarray) -> bool:
     return pose.shape[-1] == 3
 
 
-def _chord_share(
-    share: Float[np.ndarray, " s"], angle: Float[np.ndarray, "steps 1"]
-) -> tuple[Float[np.ndarray, "steps s"], Float[np.ndarray, "steps s"]]:
-    """Length of the chord of a share of a step, in parts of the whole step's, and the angle between the two [rad].
+def _chord_share(share: Float[np.ndarray, " s"], angle: Float[np.ndarray, "steps 1"]) -> tuple[np.ndarray, np.ndarray]:
+    """Chord of a share of a step: its length relative to the whole step's, and the angle between the two [rad].
 
-    An arc of angle w has a chord sinc(w / 2) times as long, seen at half the angle.
+    An arc of angle w has a chord sinc(w / 2) times as long, at half the angle. Shapes (steps, s).
     """
     length = share * np.sinc(share * angle / (2 * np.pi)) / np.sinc(angle / (2 * np.pi))
     return length, -0.5 * (1 - share) * angle
@@ -61,7 +59,7 @@ def _planar_arc(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> Float[
 
 
 def _spatial_arc(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> Float[np.ndarray, "steps s 4 4"]:
-    """The same in the plane across the axis of the screw; along that axis the step is even."""
+    """The same in the plane across the axis of the screw; the motion along that axis is uniform."""
     angle, axis_body = _turn(start[:, :3, :3].swapaxes(-1, -2) @ end[:, :3, :3])
     length, back = _chord_share(share, angle[:, None])
     axis = np.einsum("kij,kj->ki", start[:, :3, :3], axis_body)

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 def larger(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
     """max(a, b) with the derivative of one of them.
 
-    That of jnp.maximum tests a and b for equality with the result; XLA may have rounded it differently, and then
-    the weights do not sum to 1 (min, max and clip alike).
+    That of jnp.maximum (min and clip alike) tests a and b for equality with the result; XLA may have rounded it
+    differently, and then the weights do not sum to 1.
     """
     return jnp.where(a > b, a, b)
 
@@ -25,8 +25,8 @@ def clipped(value: Float[Array, "..."], low: Float[Array, "..."], high: Float[Ar
 def length(*components: Float[Array, "..."]) -> Float[Array, "..."]:
     """Euclidean length of a vector given by its components; its derivative is 0 at zero.
 
-    Elsewhere the derivative is the unit vector, whatever the scale: no threshold separates lengths from rounding
-    errors, so that a view of a millimetre and one of 100 km behave alike in float32.
+    Elsewhere the derivative is the unit vector at every scale: no threshold separates lengths from rounding errors, so
+    that views of a millimetre and of 100 km behave alike in float32.
     """
     return jnp.sqrt(reduce(jnp.add, [component * component for component in components]))
 

@@ -1,4 +1,4 @@
-"""The two worlds an agent can move in, with the same methods, so that all else is written once."""
+"""The plane and space as poses of one interface, so that all else is written once."""
 
 import abc
 from typing import ClassVar
@@ -13,7 +13,7 @@ from foveate.geometry import lie, lie_planar
 
 
 class Space(eqx.Module):
-    """A space of poses. An empty pytree, hashable: it may stand in static and in traced places."""
+    """A space of poses. An empty pytree, hashable: it may be a static or a traced argument."""
 
     name: ClassVar[str]
     dimension: ClassVar[int]
@@ -30,33 +30,38 @@ class Space(eqx.Module):
     def upright(self, position_world: Float[Array, " d"], yaw: Float[Array, ""]) -> Float[Array, "..."]:
         """A level pose at a position [m], its heading turned by yaw [rad] from the x axis."""
 
+    @staticmethod
     @abc.abstractmethod
-    def move(self, pose: Float[Array, "..."], displacement: Float[Array, " n_u"]) -> Float[Array, "..."]:
+    def move(pose: Float[Array, "..."], displacement: Float[Array, " n_u"], /) -> Float[Array, "..."]:
         """T exp(hat(displacement)), displacement = tau u, in the body frame of T [m, rad]."""
 
+    @staticmethod
     @abc.abstractmethod
-    def to_body(self, pose: Float[Array, "..."], points_world: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
+    def to_body(pose: Float[Array, "..."], points_world: Float[Array, "*n d"], /) -> Float[Array, "*n d"]:
         """q = Q T^-1 [zeta; 1] of any number of world positions zeta [m]."""
 
+    @staticmethod
     @abc.abstractmethod
-    def to_world(self, pose: Float[Array, "..."], points_body: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
-        """The world positions of any number of body-frame points [m]; the inverse of `to_body`."""
+    def to_world(pose: Float[Array, "..."], points_body: Float[Array, "*n d"], /) -> Float[Array, "*n d"]:
+        """World positions Q T [q; 1] of any number of body-frame points q [m]; the inverse of `to_body`."""
 
+    @staticmethod
     @abc.abstractmethod
-    def rotation(self, pose: Float[Array, "..."]) -> Float[Array, "d d"]:
+    def rotation(pose: Float[Array, "..."], /) -> Float[Array, "d d"]:
         """R, body to world."""
 
     @abc.abstractmethod
     def position(self, pose: Float[Array, "..."]) -> Float[Array, " d"]:
-        """Where the agent is, in the world [m]."""
+        """Position of the agent in the world [m]."""
 
+    @staticmethod
     @abc.abstractmethod
-    def log(self, pose: Float[Array, "..."]) -> Float[Array, " n_u"]:
+    def log(pose: Float[Array, "..."], /) -> Float[Array, " n_u"]:
         """log(T)^v, the twist that leads from the identity to T in unit time; its turn is at most pi."""
 
     @abc.abstractmethod
     def from_numbers(self, numbers: object) -> Float[Array, "..."]:
-        """The pose written as a list of numbers in files; ValueError says what is wrong with it."""
+        """The pose from its list of numbers in a file. Raises InputError where one is missing or not finite."""
 
     @abc.abstractmethod
     def to_numbers(self, pose: Float[Array, "..."]) -> list[float]:
@@ -64,20 +69,20 @@ class Space(eqx.Module):
 
 
 def _checked(numbers: object, name: str, entries: str) -> np.ndarray:
-    """`numbers` as float64, or the ValueError of a pose that is not `entries`, all finite."""
-    wanted = f"{name} pose: expected {entries.count(',') + 1} finite numbers {entries}"
+    """`numbers` as float64. Raises InputError unless they are `entries`, all finite."""
+    expected = f"{name} pose: expected {entries.count(',') + 1} finite numbers {entries}"
     try:
         array = np.asarray(numbers)
     except ValueError as error:  # a ragged list
-        raise InputError(f"{wanted}, got {numbers!r}") from error
+        raise InputError(f"{expected}, got {numbers!r}") from error
     if array.dtype.kind not in "iuf" or array.shape != (entries.count(",") + 1,):
-        raise InputError(f"{wanted}, got {numbers!r}")
+        raise InputError(f"{expected}, got {numbers!r}")
     array = array.astype(np.float64)
     largest = jnp.finfo(jnp.result_type(float)).max  # a number too large for float32 would become inf
     wrong = ~(np.abs(array) <= largest)
     if wrong.any():
         entry = entries.strip("[]").split(", ")[int(np.argmax(wrong))]
-        raise InputError(f"{wanted}, got {entry} = {array[np.argmax(wrong)]}")
+        raise InputError(f"{expected}, got {entry} = {array[np.argmax(wrong)]}")
     return array
 
 
@@ -89,6 +94,12 @@ class Planar(Space):
     twist_size = 3
     axes = ("vx", "vy", "wz")
 
+    move = staticmethod(lie_planar.move_se2)
+    to_body = staticmethod(lie_planar.body_point_se2)
+    to_world = staticmethod(lie_planar.act_se2)
+    rotation = staticmethod(lie_planar.rotation_se2)
+    log = staticmethod(lie_planar.log_se2)
+
     def identity(self) -> Float[Array, "3"]:
         """[0, 0, 0]."""
         return jnp.zeros(3)
@@ -97,32 +108,12 @@ class Planar(Space):
         """[x, y, yaw]."""
         return jnp.append(position_world, yaw)
 
-    def move(self, pose: Float[Array, "3"], displacement: Float[Array, "3"]) -> Float[Array, "3"]:
-        """T exp(hat(displacement)), displacement = tau u, in the body frame of T [m, rad]."""
-        return lie_planar.move_se2(pose, displacement)
-
-    def to_body(self, pose: Float[Array, "3"], points_world: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
-        """q = R(yaw)^T (zeta - position) of any number of world positions zeta [m]."""
-        return lie_planar.body_point_se2(pose, points_world)
-
-    def to_world(self, pose: Float[Array, "3"], points_body: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
-        """R(yaw) q + position of any number of body-frame points q [m]."""
-        return lie_planar.act_se2(pose, points_body)
-
-    def rotation(self, pose: Float[Array, "3"]) -> Float[Array, "2 2"]:
-        """R(yaw), body to world."""
-        return lie_planar.rotation_se2(pose)
-
     def position(self, pose: Float[Array, "3"]) -> Float[Array, "2"]:
         """[x, y] [m]."""
         return pose[:2]
 
-    def log(self, pose: Float[Array, "3"]) -> Float[Array, "3"]:
-        """log(T)^v with the yaw wrapped to (-pi, pi]."""
-        return lie_planar.log_se2(pose)
-
     def from_numbers(self, numbers: object) -> Float[Array, "3"]:
-        """The pose of [x, y, yaw] [m, rad]; ValueError where the length is wrong or a number not finite."""
+        """The pose of [x, y, yaw] [m, rad]."""
         return jnp.asarray(_checked(numbers, self.name, "[x, y, yaw]"), jnp.result_type(float))
 
     def to_numbers(self, pose: Float[Array, "3"]) -> list[float]:
@@ -138,28 +129,26 @@ class Spatial(Space):
     twist_size = 6
     axes = ("vx", "vy", "vz", "wx", "wy", "wz")
 
+    to_body = staticmethod(lie.body_point_se3)
+    to_world = staticmethod(lie.act_se3)
+    log = staticmethod(lie.log_se3)
+
     def identity(self) -> Float[Array, "4 4"]:
         """The identity matrix."""
         return jnp.eye(4)
 
     def upright(self, position_world: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Array, "4 4"]:
-        """Turned about the vertical only."""
+        """A pose turned about the vertical only."""
         rotation = lie.exp_so3(jnp.zeros(3, yaw.dtype).at[2].set(yaw))
         return self.identity().at[:3, :3].set(rotation).at[:3, 3].set(position_world)
 
-    def move(self, pose: Float[Array, "4 4"], displacement: Float[Array, "6"]) -> Float[Array, "4 4"]:
+    @staticmethod
+    def move(pose: Float[Array, "4 4"], displacement: Float[Array, "6"], /) -> Float[Array, "4 4"]:
         """T exp(hat(displacement)), displacement = tau u, in the body frame of T [m, rad]."""
         return lie.compose_se3(pose, lie.exp_se3(displacement))
 
-    def to_body(self, pose: Float[Array, "4 4"], points_world: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """q = Q T^-1 [zeta; 1] of any number of world positions zeta [m]."""
-        return lie.body_point_se3(pose, points_world)
-
-    def to_world(self, pose: Float[Array, "4 4"], points_body: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """Q T [q; 1] of any number of body-frame points q [m]."""
-        return lie.act_se3(pose, points_body)
-
-    def rotation(self, pose: Float[Array, "4 4"]) -> Float[Array, "3 3"]:
+    @staticmethod
+    def rotation(pose: Float[Array, "4 4"], /) -> Float[Array, "3 3"]:
         """R, body to world."""
         return pose[:3, :3]
 
@@ -167,15 +156,8 @@ class Spatial(Space):
         """[x, y, z] [m]."""
         return pose[:3, 3]
 
-    def log(self, pose: Float[Array, "4 4"]) -> Float[Array, "6"]:
-        """log(T)^v = [J(w)^-1 position; w], |w| <= pi."""
-        return lie.log_se3(pose)
-
     def from_numbers(self, numbers: object) -> Float[Array, "4 4"]:
-        """The pose of [x, y, z, qw, qx, qy, qz] [m, -]; the quaternion may have any length but zero.
-
-        ValueError where the length is wrong, a number is not finite, or the quaternion is zero.
-        """
+        """The pose of [x, y, z, qw, qx, qy, qz] [m, -]; the quaternion may have any length but zero."""
         array = _checked(numbers, self.name, "[x, y, z, qw, qx, qy, qz]")
         largest = np.max(np.abs(array[3:]))
         if largest == 0.0:
@@ -186,8 +168,7 @@ class Spatial(Space):
 
     def to_numbers(self, pose: Float[Array, "4 4"]) -> list[float]:
         """[x, y, z, qw, qx, qy, qz], a unit quaternion with qw >= 0 [m, -]."""
-        quaternion = lie.quaternion_so3(pose[:3, :3])
-        return [float(number) for number in (*pose[:3, 3], *quaternion)]
+        return [float(number) for number in (*pose[:3, 3], *lie.quaternion_so3(pose[:3, :3]))]
 
 
 SPACES: dict[str, Space] = {"planar": Planar(), "spatial": Spatial()}

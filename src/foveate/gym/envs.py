@@ -56,7 +56,7 @@ class TrackingEnv(gymnasium.Env):
         """Begin an episode: its first observation, and the score of the first beliefs as info."""
         super().reset(seed=seed)
         batch, targets = self._task.batch, self._task.targets(options or {})
-        keys = keys_of([seed], self.np_random) if seed is not None or batch.moments is None else batch.moments.key
+        keys = keys_of([seed], self.np_random) if seed is not None or batch.states is None else batch.states.key
         seen, score = batch.renew(keys, targets=targets)
         self._over = False
         if self._screen:
@@ -72,7 +72,7 @@ class TrackingEnv(gymnasium.Env):
         self._over = terminated or truncated
         if self._screen:
             self._screen.add(self._task.batch)
-        seen = self._task.observation(steps.seen, 0)
+        seen = self._task.observation(steps.observed, 0)
         return seen, float(steps.reward[0]), terminated, truncated, {"score": float(steps.score[0])}
 
     def render(self) -> np.ndarray | None:
@@ -137,13 +137,13 @@ class TrackingVectorEnv(VectorEnv):
             raise InputError(f"seed has {len(seeds)} numbers: expected {self.num_envs}, one an environment")
         options, batch = options or {}, self._task.batch
         targets, mask = self._task.targets(options), self._mask(options)
-        if batch.moments is None and not mask.all():
+        if batch.states is None and not mask.all():
             raise ResetNeeded("options['reset_mask']: no episode has begun yet: reset all first")
         given = np.array([each is not None for each in seeds])
-        if batch.moments is None:
+        if batch.states is None:
             keys = keys_of(seeds, self.np_random)
         else:
-            own = batch.moments.key
+            own = batch.states.key
             keys = jnp.where(given, keys_of(seeds, self.np_random), own) if given.any() else own
         seen, score = batch.renew(keys, mask, targets)
         self._over = self._over & ~mask
@@ -163,19 +163,19 @@ class TrackingVectorEnv(VectorEnv):
         if self._over.any():
             raise ResetNeeded(f"{self._over.sum()} environments have no running episode: reset them first")
         steps = self._task.batch.step(self._task.actions(actions))
-        infos: dict[str, Any] = {"score": steps.now, "_score": np.ones(self.num_envs, bool)}
+        infos: dict[str, Any] = {"score": steps.next_score, "_score": np.ones(self.num_envs, bool)}
         if not self._autoreset:
             self._over = steps.done
         elif steps.done.any():
             infos |= self._finals(steps)
         terminated, truncated = self._task.ends(steps.done)
-        return self._task.observation(steps.seen), steps.reward.astype(np.float64), terminated, truncated, infos
+        return self._task.observation(steps.observed), steps.reward.astype(np.float64), terminated, truncated, infos
 
     def _finals(self, steps: Any) -> dict[str, Any]:
         """Last observations and infos of the episodes that are over, in the form of Gymnasium's vector environments."""
         final_obs = np.full(self.num_envs, None, object)
         for i in np.flatnonzero(steps.done).tolist():
-            final_obs[i] = self._task.observation(steps.end, i)
+            final_obs[i] = self._task.observation(steps.final, i)
         final = {"score": np.where(steps.done, steps.score, 0.0), "_score": steps.done.copy()}
         return {
             "final_obs": final_obs,

@@ -33,8 +33,8 @@ class Screen:
 
     def begin(self, batch: Batch) -> None:
         """Begin with the first beliefs of an episode."""
-        assert batch.moments is not None, "called after its begin"
-        episode = batch.moments.episode
+        assert batch.states is not None, "called after its begin"
+        episode = batch.states.episode
         self._horizon = int(episode.horizon[0])
         self._truth = None if episode.truth is None else np.asarray(episode.truth.state[0], float)
         present = np.asarray(episode.present[0] if episode.arrivals is None else episode.arrivals.present[0, 0])

@@ -18,7 +18,7 @@ from foveate.experiment.resolve import experiment_from
 from foveate.names import ProtocolName
 from foveate.policies.inputs import Features, Frame, Scale, masked_features
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.batch import Batch, Programs
+from foveate.simulation.batch import Batch, CompiledEnvironments
 from foveate.simulation.environment import Environment
 from foveate.simulation.records import PROTOCOLS, Observation
 from foveate.types import Scalar
@@ -66,7 +66,7 @@ class TaskSettings:
 @functools.lru_cache(maxsize=8)
 def _programs(
     scenario: Scenario, protocol: str, noise: bool, inputs: tuple[Frame, float, Scale], count: int
-) -> Programs:
+) -> CompiledEnvironments:
     """One compilation for all environments with these options."""
     problem, (frame, length_m, information) = scenario.problem(), inputs
     environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
@@ -74,7 +74,7 @@ def _programs(
     def features(observation: Observation, left: Scalar) -> Features:
         return masked_features(observation, left, problem.agent.space, frame, length_m, information)
 
-    return Programs(environment, features, count)
+    return CompiledEnvironments(environment, features, count)
 
 
 class Task:
@@ -89,7 +89,7 @@ class Task:
         programs = _programs(scenario, settings.protocol, settings.noise, inputs, count)
         self.settings, self.scenes, self.problem = settings, scenario.scenes, programs.environment.problem
         self.batch = Batch(programs, autoreset)
-        self.observation_space = _space(programs.seen, settings.observation == "flat")
+        self.observation_space = _space(programs.observed, settings.observation == "flat")
         self.action_space = spaces.Box(-1.0, 1.0, (self.batch.axes,), np.float32)
 
     def observation(self, seen: Features, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:

@@ -20,7 +20,7 @@ class Agent(eqx.Module):
     upper: Float[Array, " m"]
 
     def control(self, action: Action) -> Float[Array, " m"]:
-        """The command [m/s, rad/s] of a normalised action; exactly within the limits, whatever the action."""
+        """The command [m/s, rad/s] of any normalised action, exactly within the limits."""
         share = 0.5 * (1.0 + jnp.clip(action, -1.0, 1.0))
         return jnp.clip(self.lower + share * (self.upper - self.lower), self.lower, self.upper)
 

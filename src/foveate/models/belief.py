@@ -62,10 +62,7 @@ def update_information(prediction: Information, gain: Information, weight: Float
 
 
 def correct_mean(
-    prediction: Belief,
-    measurement: Float[Array, " n_z"],
-    H: Float[Array, "n_z n_y"],
-    V: Float[Array, "n_z n_z"],
+    prediction: Belief, measurement: Float[Array, " n_z"], H: Float[Array, "n_z n_y"], V: Float[Array, "n_z n_z"]
 ) -> Mean:
     """mu = p + K (z - H p), K = P^-1 H^T (H P^-1 H^T + V)^-1, P the *predicted* information."""
     cross = multiply(inverse_spd(prediction.information), H.T)

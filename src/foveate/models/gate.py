@@ -1,4 +1,4 @@
-"""Chi-square gate: rejects measurements that contradict a belief, until there are several in a row.
+"""Chi-square gate: rejects measurements that contradict a belief, up to several in a row.
 
 The squared Mahalanobis distance of a correct measurement to its prediction is chi-square with as many degrees of
 freedom as it has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
@@ -8,12 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from scipy.special import gammaincinv
 
-from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
+from foveate.io.validate import require
 from foveate.models.belief import Belief
+from foveate.types import Information
 
 RESTART_AFTER = 5
-"""After this many rejections in a row the target has really jumped: the belief restarts from the last measurement."""
+"""After this number of rejections in a row the target must have jumped: the belief restarts from the last one."""
 
 
 def gate_limit(probability: float | None, size: int) -> float | None:
@@ -23,8 +24,7 @@ def gate_limit(probability: float | None, size: int) -> float | None:
     """
     if probability is None:
         return None
-    if not 0 < probability < 1:
-        raise InputError(f"gate = {probability}: expected a probability between 0 and 1, or None")
+    require(0 < probability < 1, "gate", probability, "expected a probability between 0 and 1, or None")
     # The quantile of chi-square; scipy.stats, which has it by name, takes half a second to import.
     return 2.0 * float(gammaincinv(size / 2.0, probability))
 
@@ -39,12 +39,12 @@ def squared_distance(
 
 
 def one_point(
-    first_information: Float[Array, "n_y n_y"],
+    first_information: Information,
     measurement: Float[Array, " n_z"],
     H: Float[Array, "n_z n_y"],
     V: Float[Array, "n_z n_z"],
 ) -> Belief:
-    """Belief from one measurement: N(z, V) in what it measures, in the rest the first belief, about 0.
+    """Belief from one measurement: N(z, V) in the measured part of the state, the first belief (about 0) in the rest.
 
     Mean H^+ z, covariance H^+ V H^+T + N Y_0^-1 N^T with N = I - H^+ H.
     """

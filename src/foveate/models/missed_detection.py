@@ -1,8 +1,8 @@
 """Missed detections as negative information: the Gaussian belief about a target, given that it is outside of the view.
 
-The Kalman filter as published learns only from measurements. But a target is not measured because it is outside of the
-view, and a belief that reaches into the view then claims too much. What is left of the Gaussian is no Gaussian; the one
-with the same mean and covariance takes its place (moment matching, as in assumed-density filtering).
+The published Kalman filter learns only from measurements. But a target that is not measured is outside of the view, and
+a belief that reaches into the view claims too much. The rest of the Gaussian is no Gaussian; the one with the same mean
+and covariance takes its place (moment matching, as in assumed-density filtering).
 """
 
 from collections.abc import Callable
@@ -18,23 +18,20 @@ from foveate.types import Point
 
 IsInside = Callable[[Float[Array, "points d"]], Bool[Array, " points"]]
 
-
 POINTS = 256
-"""Number of positions that stand for a belief."""
-
+"""Number of positions that represent a belief."""
 
 PROPOSAL_STD = 1.5
-"""Standard deviation of these points, in those of the belief: what a miss leaves of a belief lies in its tails."""
-
+"""Standard deviation of these points, in those of the belief: after a miss, what remains of it lies in its tails."""
 
 MIN_OUTSIDE = 0.05
-"""With a smaller probability of being outside of the view, the belief itself must be wrong, and stays as it is."""
+"""With a smaller probability of being outside of the view, the belief itself must be wrong, and is kept."""
 
 
 def standard_points(
     dimension: int, count: int = POINTS
 ) -> tuple[Float[np.ndarray, "count d"], Float[np.ndarray, " count"]]:
-    """Points and weights that stand for N(0, I); their weights sum to 1, their mean is 0 and their covariance I.
+    """Points and weights that represent N(0, I); their weights sum to 1, their mean is 0 and their covariance I.
 
     The additive recurrence on the powers of the generalised golden ratio, g^(d + 1) = g + 1 (Roberts 2018), through the
     inverse of the normal distribution function, with standard deviation `PROPOSAL_STD`, weighed by the
@@ -50,12 +47,11 @@ def standard_points(
 
 
 def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
-    """The Gaussian with the mean and covariance of N(mu, C) given that the position Z y is not inside of the view.
+    """The Gaussian with the mean and covariance of N(mu, C) given that the position Z y is outside of the view.
 
-    `is_inside` tests positions in the world [m].
-
-    Position p = Z y has mean m = Z mu and covariance S = Z C Z^T, on which the rest of the state depends by
-    G = C Z^T S^-1. With the moments m', S' of p outside, mu' = mu + G (m' - m) and C' = C + G (S' - S) G^T.
+    `is_inside` tests world positions [m]. Position p = Z y has mean m = Z mu and covariance S = Z C Z^T; the rest of
+    the state depends on it by G = C Z^T S^-1. With the moments m', S' of p outside, mu' = mu + G (m' - m) and
+    C' = C + G (S' - S) G^T.
     """
     covariance = inverse_spd(belief.information)
     cross = multiply(covariance, Z.T)
@@ -65,7 +61,7 @@ def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: 
     points: Float[Array, "points d"] = middle + standard @ cholesky_spd(spread).T
     inside = is_inside(points)
     weights = jnp.where(inside, 0.0, weights)
-    # Without a point inside nothing was learned; with nearly all inside, the few points left would be a poor sample.
+    # No point inside: nothing was learned. Nearly all inside: the few points left would be a poor sample.
     is_informative = jnp.any(inside) & (jnp.sum(weights) >= MIN_OUTSIDE)
     moved, left = _moments(points, weights)
     gain = multiply(cross, inverse_spd(spread))
@@ -78,7 +74,7 @@ def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: 
 
 
 def _moments(points: Float[Array, "points d"], weights: Float[Array, " points"]) -> tuple[Point, Float[Array, "d d"]]:
-    """Weighted mean and covariance of the points; of no weight at all, zeros."""
+    """Weighted mean and covariance of the points; zeros if all weights are 0."""
     total = jnp.sum(weights)
     shares = weights / jnp.where(total > 0, total, 1.0)
     mean = shares @ points

@@ -1,4 +1,6 @@
-"""The problem: agent, sensor and motion of the targets, and what of it changes from step to step."""
+"""The problem: agent, sensor and motion of the targets, and its schedule over the steps."""
+
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -13,9 +15,9 @@ from foveate.types import Count, Information, Scalar
 
 
 class Schedule(eqx.Module):
-    """What changes from step to step: tau_k [s], the targets' motion and the sensor's V, each with a leading axis.
+    """Values that change from step to step: tau_k [s], the targets' motion and the sensor's V.
 
-    Step k takes entry k modulo the length of that axis.
+    Each has a leading axis, of which step k takes entry k modulo its length.
     """
 
     tau: Float[Array, " period"]
@@ -24,9 +26,9 @@ class Schedule(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """Who looks at what: agent, sensor, motion of the targets, control period tau [s], first information matrix.
+    """Agent, sensor, motion of the targets, control period tau [s] and first information matrix.
 
-    Without a `schedule` these hold for all steps.
+    A `schedule` overrides them from step to step.
     """
 
     agent: Agent
@@ -37,13 +39,12 @@ class Problem(eqx.Module):
     schedule: Schedule | None = None
 
     def at(self, step: Count) -> "Problem":
-        """The problem of step k alone: with tau_k, A, B, W_k and V_k in their places."""
+        """The problem of step k alone, with tau_k, A, B, W_k and V_k, and without a schedule."""
         if self.schedule is None:
             return self
-        now = jax.tree.map(lambda part: part[step % len(part)], self.schedule)
-        places = (now.tau, now.motion, now.V)
-        here = eqx.tree_at(lambda problem: (problem.tau, problem.motion, problem.sensor.V), self, places)
-        return eqx.tree_at(lambda problem: problem.schedule, here, None)
+        entry = jax.tree.map(lambda part: part[step % len(part)], self.schedule)
+        sensor = replace(self.sensor, V=entry.V)
+        return replace(self, tau=entry.tau, motion=entry.motion, sensor=sensor, schedule=None)
 
     @property
     def period(self) -> Schedule:

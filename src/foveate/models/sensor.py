@@ -12,7 +12,7 @@ from foveate.geometry.linalg import inverse_spd, multiply
 
 
 class Softness(NamedTuple):
-    """Blur of the differentiable field of view over the real one: offset [-] and kappa [m]."""
+    """Blur of the differentiable field of view: offset [-] and kappa [m]."""
 
     offset: float
     kappa: float
@@ -23,9 +23,9 @@ PAPER_SOFTNESS = Softness(offset=2.0, kappa=0.4)
 
 
 def detection_weight(distance: Float[Array, "*b"], softness: Softness) -> Float[Array, "*b"]:
-    """1 - Phi(d), Phi(d) = [1 + erf(d / (sqrt 2 kappa) - offset)] / 2: 1 inside, 0 far outside (paper, equation 20).
+    """1 - Phi(d), Phi(d) = [1 + erf(d / (sqrt 2 kappa) - offset)] / 2, of a signed distance d [m] (paper, equation 20).
 
-    `distance` is the signed distance [m] to the field of view, negative inside.
+    It is 1 inside of the field of view, where d < 0, and 0 far outside.
     """
     return 0.5 * jax.scipy.special.erfc(distance / (jnp.sqrt(2.0) * softness.kappa) - softness.offset)
 
@@ -33,10 +33,10 @@ def detection_weight(distance: Float[Array, "*b"], softness: Softness) -> Float[
 class Sensor(eqx.Module):
     """A linear sensor with a limited field of view.
 
-    H (n_z, n_y); V (n_z, n_z) covariance of the noise [m^2], given in `frame`. In the body frame it turns with the
-    agent, V_world = R V R^T (then n_z = d). The noise's standard deviation grows with the range r [m] to the
-    target by the factor 1 + range_growth r. With `uses_missed_detections` the filter that really runs also learns from
-    not seeing a target (see `models.missed_detection`).
+    V is the covariance of the noise [m^2], given in `frame`. In the body frame it turns with the agent,
+    V_world = R V R^T (then n_z = d). The noise's standard deviation grows with the range r [m] to the target by the
+    factor 1 + range_growth r. With `uses_missed_detections` the Kalman filter (not a soft view) also takes missed
+    detections as negative information (see `models.missed_detection`).
     """
 
     H: Float[Array, "n_z n_y"]
@@ -59,5 +59,5 @@ class Sensor(eqx.Module):
         return V * (1.0 + self.range_growth * distance) ** 2
 
     def information(self, covariance: Float[Array, "n_z n_z"]) -> Float[Array, "n_y n_y"]:
-        """H^T V^-1 H: what one measurement adds to the information matrix."""
+        """H^T V^-1 H, the information of one measurement."""
         return multiply(multiply(self.H.T, inverse_spd(covariance)), self.H)

@@ -11,9 +11,8 @@ from foveate.types import Mean, Point
 class LinearGaussian(eqx.Module):
     """Linear-Gaussian motion of one target.
 
-    A (n_y, n_y), B (n_y, m_y), W (n_y, n_y) covariance of the process noise per step, Z (d, n_y) gives the
-    position [m] of a state. Where n_y is a multiple of d, the state is read as d-vectors (position, velocity, ...)
-    that turn with the frame.
+    W is the covariance of the process noise per step, Z gives the position [m] of a state. Where n_y is a multiple of
+    d, the state is read as d-vectors (position, velocity, ...) that turn with the frame.
     """
 
     A: Float[Array, "n_y n_y"]
@@ -38,13 +37,13 @@ class LinearGaussian(eqx.Module):
 
     @property
     def begins_with_position(self) -> bool:
-        """True where a state is d-vectors of which the first is the position, Z = [I 0]."""
+        """True if a state is d-vectors of which the first is the position, Z = [I 0]."""
         d, n_y = self.Z.shape
         return n_y % d == 0 and np.array_equal(self.Z, np.eye(d, n_y))
 
     @property
     def takes_drift(self) -> bool:
-        """True where a target can be given a velocity: as the input of a position, or as the second part of a state."""
+        """True if a target can have a drift velocity: as the input of a position, or as the second part of a state."""
         d, n_y = self.Z.shape
         if n_y == d:
             return self.begins_with_position and np.array_equal(self.B, np.eye(d))

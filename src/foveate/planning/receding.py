@@ -137,7 +137,7 @@ def foreseen_actions(
         present=observation.present,
     )
     action, memory = policy(observation, memory, jax.random.fold_in(key, observation.step))
-    instant = Instant(observation.known_input, None, None)
+    instant = Instant(observation.known_input)
     after = act(problem, protocol, predicted, instant, action).state
     future = Episode(
         pose=after.pose,

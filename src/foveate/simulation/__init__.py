@@ -1,1 +1,1 @@
-"""Episodes: what is drawn before the first decision, the steps, and what happened."""
+"""Episodes, their random numbers, their steps and their records."""

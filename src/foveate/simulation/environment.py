@@ -1,7 +1,7 @@
 """The step of the simulation as pure `reset` and `step`, for learners and programs that decide outside of it.
 
-All functions but two are of one environment, to be `vmap`ed; `step_and_reset` steps a batch and replaces every episode
-that has ended by a new one (`renew`), so that a program of any length runs at full speed.
+All functions take one environment, to be `vmap`ed, but `renew`, which replaces the ended episodes of a batch by new
+ones, so that a program of any length runs at full speed.
 """
 
 import equinox as eqx
@@ -14,19 +14,19 @@ from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.records import Episode, Observation, Protocol, State, per_target
-from foveate.simulation.step import act, instants, observe, predict, start
+from foveate.simulation.records import Episode, Observation, Protocol, State, observe, per_target
+from foveate.simulation.step import act, instants, predict, start
 from foveate.types import Action, Count, Key, Scalar
 
 CHUNK = 64
-"""Episodes drawn at once where some of a batch have ended: the cost of a step follows how many have."""
+"""Episodes drawn at once where some of a batch have ended: the cost of a step follows their number."""
 
 
 class Environment(eqx.Module):
-    """An environment: the problem, the distribution of episodes, and the protocol that information grows by.
+    """Problem, distribution of episodes, and protocol of an environment.
 
-    Without `noise` an episode is the noise-free one of the paper's training; with it, targets are pushed and measured
-    as in the real world. Raises ValueError for a protocol that asks for truth where there is none.
+    With `noise` episodes have a truth: process noise and noisy measurements. Without it they are the noise-free ones of
+    the paper's training, and a protocol that needs the truth raises InputError.
     """
 
     problem: Problem
@@ -42,7 +42,7 @@ class Environment(eqx.Module):
 class EnvironmentState(eqx.Module):
     """An environment between two steps: its episode, and its beliefs predicted one step ahead at the pose T_k.
 
-    `score` is the mean log det of the information per target present, now [nat]; `key` makes the next episode.
+    `score` is the current mean log det of the information per target present [nat]; `key` makes the next episode.
     """
 
     episode: Episode
@@ -54,8 +54,8 @@ class EnvironmentState(eqx.Module):
 class Transition(eqx.Module):
     """Result of a step: the growth of the score [nat], whether the episode has ended, the observation after it.
 
-    The rewards of an episode sum to its last score less its first. `state` and `visible`, the beliefs after the update
-    and which targets were really measured, are for pictures.
+    The rewards of an episode sum to its last score less its first. `state` (beliefs after the update) and `visible`
+    (targets actually measured) are for pictures.
     """
 
     reward: Float[Array, "*b"]
@@ -73,10 +73,9 @@ def begin(environment: Environment, episode: Episode, key: Key) -> EnvironmentSt
 
 
 def reset(environment: Environment, key: Key, targets: Count | None = None) -> EnvironmentState:
-    """A fresh episode of the training distribution; with `targets` > 0 one with that many."""
+    """A new episode of the training distribution, with `targets` targets if that is > 0."""
     episode_key, next_key = jax.random.split(key)
-    scenes, noise = environment.scenes, environment.noise
-    episode = training_episode(environment.problem, scenes, episode_key, noise, targets=targets)
+    episode = training_episode(environment.problem, environment.scenes, episode_key, environment.noise, targets=targets)
     return begin(environment, episode, next_key)
 
 
@@ -86,48 +85,37 @@ def observation(current: EnvironmentState) -> Observation:
 
 
 def step(environment: Environment, current: EnvironmentState, action: Action) -> tuple[EnvironmentState, Transition]:
-    """One step of `rollout`: move, measure, update, and predict what comes next; done when step == horizon."""
+    """One step of `rollout`: move, measure, update, and predict the next beliefs; done when step == horizon."""
     episode, predicted = current.episode, current.predicted
     instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
-    done = act(environment.problem, environment.protocol, predicted, instant, action)
-    state = done.state
+    draft = act(environment.problem, environment.protocol, predicted, instant, action)
+    state = draft.state
     # A target that was born at this step could not be measured yet.
     score = _score(state, state.present & predicted.present)
     after = _state(environment, episode, state, score, current.key)
-    over = state.step >= episode.horizon
-    return after, Transition(score - current.score, over, score, observation(after), state, done.measured)
-
-
-def step_and_reset(
-    environment: Environment, states: EnvironmentState, actions: Float[Array, "b m"]
-) -> tuple[EnvironmentState, Transition]:
-    """One step of a batch: where an episode has ended the next one has begun, and the transition shows the end.
-
-    Every environment draws its episodes from its own key, so that none depends on the others.
-    """
-    states, transition = jax.vmap(step, (None, 0, 0))(environment, states, actions)
-    return renew(environment, states, transition.done), transition
+    done = state.step >= episode.horizon
+    return after, Transition(score - current.score, done, score, observation(after), state, draft.measured)
 
 
 def renew(
     environment: Environment,
     states: EnvironmentState,
-    over: Bool[Array, " b"],
+    ended: Bool[Array, " b"],
     targets: Int[Array, " b"] | None = None,
 ) -> EnvironmentState:
     """Begin the next episode where one of a batch has ended, each from its own key; `targets` as in `reset`."""
-    count = len(over)
+    count = len(ended)
 
-    def some(carry):
-        states, over = carry
-        rows = jnp.nonzero(over, size=min(CHUNK, count), fill_value=count)[0]
-        asked = None if targets is None else targets.at[rows].get(mode="clip")
-        fresh = jax.vmap(reset, (None, 0, 0))(environment, states.key.at[rows].get(mode="clip"), asked)
+    def renew_chunk(carry):
+        states, ended = carry
+        rows = jnp.nonzero(ended, size=min(CHUNK, count), fill_value=count)[0]
+        chunk_targets = None if targets is None else targets.at[rows].get(mode="clip")
+        fresh = jax.vmap(reset, (None, 0, 0))(environment, states.key.at[rows].get(mode="clip"), chunk_targets)
         # Rows beyond the batch fill up the chunk, and are dropped.
         states = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), states, fresh)
-        return states, over.at[rows].set(False, mode="drop")
+        return states, ended.at[rows].set(False, mode="drop")
 
-    return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), some, (states, over))[0]
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), renew_chunk, (states, ended))[0]
 
 
 def _state(environment: Environment, episode: Episode, state: State, score: Scalar, key: Key) -> EnvironmentState:

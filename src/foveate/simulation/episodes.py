@@ -1,7 +1,8 @@
-"""Episodes: scenes drawn from a distribution, their random numbers, the truth, the first belief."""
+"""Episodes: random scenes, their noise, the truth, and the first belief."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -16,7 +17,7 @@ from foveate.types import Count, Key, Pose
 
 
 class Drawn(eqx.Module):
-    """A scene as arrays, padded to a fixed number of targets."""
+    """A random scene as arrays, padded to a fixed number of targets."""
 
     pose: Pose
     position: Float[Array, "n d"]
@@ -40,7 +41,7 @@ def _draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, 
 
 
 def draw_size(settings: SceneSettings, problem: Problem) -> int:
-    """How many random numbers make one scene."""
+    """Number of random numbers of one scene."""
     return _size(_draw_shapes(settings, problem))
 
 
@@ -51,9 +52,9 @@ def draw(
     test: bool = False,
     targets: Count | None = None,
 ) -> Drawn:
-    """Make a scene of the distribution from `draw_size` numbers, uniform in [-1, 1), padded to the most targets.
+    """Make a scene from `draw_size` numbers, uniform in [-1, 1), padded to the most targets.
 
-    With `targets` > 0 the scene has that many, whatever the numbers say.
+    A scene of a `test` suite has its agent near the centre. `targets` > 0 sets the number of targets.
     """
     d, most = problem.agent.space.dimension, settings.targets_max
     count, yaw, agent, position, drift = _cut(uniform, _draw_shapes(settings, problem))
@@ -77,11 +78,11 @@ def draw(
 
 
 def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth: bool = True) -> Noise:
-    """Random numbers of one training episode; those that only a truth needs are 0 where none is made."""
+    """Random numbers of one training episode; those that only a truth needs are 0 without it."""
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
     uniform_key, normal_key = jax.random.split(key)
     shapes = ((targets, n_y), (steps, targets, n_y), (steps, targets, n_z))
-    # Each number of a draw depends on its place alone: the first ones are the same without the rest.
+    # Each random number depends on its place alone: the first ones are the same without the rest.
     normal = jax.random.normal(normal_key, (_size(shapes if with_truth else shapes[:1]),))
     first, process, measurement = _cut(jnp.pad(normal, (0, _size(shapes) - len(normal))), shapes)
     jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
@@ -93,9 +94,8 @@ def _size(shapes: Sequence[tuple[int, ...]]) -> int:
 
 
 def _cut(flat: Float[Array, " size"], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
-    """One draw cut into arrays: each call of the random generator costs a second of compilation."""
-    ends = np.cumsum([math.prod(shape) for shape in shapes])
-    parts = jnp.split(flat, ends[:-1])
+    """Random numbers cut into arrays: each call of the generator costs a second of compilation."""
+    parts = jnp.split(flat, np.cumsum([math.prod(shape) for shape in shapes])[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
@@ -107,11 +107,11 @@ def episode_of(
     with_truth: bool = True,
     birth_and_death: bool = False,
 ) -> Episode:
-    """The episode that a scene and its random numbers make.
+    """Make the episode of a scene and its random numbers.
 
-    Targets that are positions only are driven by the known input xi = tau (drift + jitter) [m]; for longer states the
-    drift is the initial velocity and the input is zero. With `birth_and_death` a target that leaves the scene's box is
-    replaced by a new one that enters at the other side: the stationary crowd of a street.
+    Targets that are positions only have the known input xi = tau (drift + jitter) [m]; for longer states the drift is
+    the initial velocity and the input is zero. With `birth_and_death` a new target enters at the other side for each
+    that leaves the scene's box: the stationary crowd of a street.
     """
     motion, d = problem.motion, problem.agent.space.dimension
     period = problem.period
@@ -138,24 +138,14 @@ def episode_of(
         states = jnp.concatenate([first[None], jax.lax.scan(move, first, (motions, inputs, pushes))[1]])
         truth = Truth(state=states, measurement_noise=noise.measurement)
     error = first_error(problem, settings, noise.first)
-    episode = Episode(
-        pose=scene.pose,
-        mean=first + error,
-        present=scene.present,
-        inputs=known,
-        horizon=scene.horizon,
-        truth=truth,
-    )
+    episode = Episode(scene.pose, first + error, scene.present, known, scene.horizon, truth)
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 
 def training_episode(
     problem: Problem, scenes: SceneSettings, key: Key, noise: bool, test: bool = False, targets: Count | None = None
 ) -> Episode:
-    """A fresh episode, `test`: as test scenes begin; without `noise` it has no truth, and no mean is corrected.
-
-    With `targets` > 0 it has that many, of the numbers that the settings allow.
-    """
+    """Make a random episode, `test` and `targets` as in `draw`; without `noise` it has no truth."""
     scene_key, noise_key = jax.random.split(key)
     numbers = draw_noise(problem, noise_key, scenes.horizon(scenes.targets_max), scenes.targets_max, noise)
     uniform = jax.random.uniform(scene_key, (draw_size(scenes, problem),), minval=-1.0)
@@ -167,7 +157,7 @@ def training_episode(
 def _with_birth_and_death(
     problem: Problem, settings: SceneSettings, episode: Episode, error: Float[Array, "n n_y"]
 ) -> Episode:
-    """Wrap the truth around the scene's box; a target that wraps is absent for one instant and then a new one."""
+    """Wrap the truth around the scene's box; a target that wraps is absent for one instant, then a new target."""
     assert episode.truth is not None, "birth and death moves the truth"
     states, motion = episode.truth.state, problem.motion
     half_side = jnp.array(settings.half_side_m)
@@ -177,20 +167,17 @@ def _with_birth_and_death(
     states = states - jax.vmap(jax.vmap(motion.state_at))(2 * half_side * laps)
     wraps = jnp.any(laps[1:] != laps[:-1], axis=-1)
     present = episode.present & ~jnp.concatenate([jnp.zeros_like(wraps[:1]), wraps])
-    return eqx.tree_at(
-        lambda e: (e.truth, e.arrivals),
-        episode,
-        (Truth(states, episode.truth.measurement_noise), Arrivals(present=present, mean=states + error)),
-        is_leaf=lambda x: x is None,
+    return replace(
+        episode, truth=replace(episode.truth, state=states), arrivals=Arrivals(present=present, mean=states + error)
     )
 
 
 def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]) -> Float[Array, "*b n_y"]:
-    """By how much the first mean is off: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
+    """Error of the first mean: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
     if settings.initial_error == "consistent":
         return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
     V, H = problem.period.V[0], problem.sensor.H
-    # z = H y: the least-norm state whose measurement is off by N(0, V).
+    # The least-norm state error whose measurement H y has the distribution N(0, V).
     return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
 
 

@@ -1,4 +1,4 @@
-"""Records of a simulation: an episode, what a policy sees and decides, the state between steps, what happened."""
+"""Records of a simulation: episode, observation, policy, trace, protocol, and the state between steps."""
 
 import abc
 from typing import Any, NamedTuple
@@ -12,27 +12,28 @@ from foveate.types import Action, Count, Key, Pose
 
 
 class Truth(eqx.Module):
-    """The true states of the targets, whatever the agent does.
+    """The true states of the targets, which the agent does not influence.
 
-    `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance.
+    `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance. In an
+    `Instant`: the states after one step, and the noise of its measurements.
     """
 
-    state: Float[Array, "instants n n_y"]
-    measurement_noise: Float[Array, "K n n_z"]
+    state: Float[Array, "*instants n n_y"]
+    measurement_noise: Float[Array, "*K n n_z"]
 
 
 class Arrivals(eqx.Module):
-    """Births and deaths: the targets present at each instant, and the first mean of a belief that begins there."""
+    """Births and deaths: the targets present at each instant, and the first mean of a belief that begins then."""
 
-    present: Bool[Array, "instants n"]
-    mean: Float[Array, "instants n n_y"]
+    present: Bool[Array, "*instants n"]
+    mean: Float[Array, "*instants n n_y"]
 
 
 class Episode(eqx.Module):
     """Everything that is fixed before the agent's first decision, the same for every method.
 
-    Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth`
-    the simulation is the noise-free one of training, in which the mean is never corrected.
+    Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth` the
+    simulation is the noise-free one of training, which never corrects a mean.
     """
 
     pose: Pose
@@ -47,8 +48,8 @@ class Episode(eqx.Module):
 class Observation(eqx.Module):
     """Input of a policy at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
 
-    `left` counts the remaining steps of the episode, this one included. `known_input` is xi_k, the input that led to
-    the prediction. Where `present` is false the entry is padding.
+    `left` is the number of remaining steps, this one included; `known_input` is xi_k, the input that led to the
+    prediction. Entries where `present` is false are padding.
     """
 
     step: Count
@@ -61,7 +62,7 @@ class Observation(eqx.Module):
 
 
 class Policy(eqx.Module):
-    """A policy: maps an observation to an action. `memory` is any pytree that it keeps from one step to the next."""
+    """A map from observations to actions. `memory` is any pytree that it keeps from one step to the next."""
 
     def start(self, observation: Observation) -> Any:
         """The memory before the first decision; `observation` is the first one."""
@@ -76,7 +77,7 @@ class Policy(eqx.Module):
 class Trace(eqx.Module):
     """Record of one episode; entries after `horizon` steps are padding.
 
-    `log_det` is log det of the information matrix after step k, `visible` whether the target was really measured.
+    `log_det` is that of the information matrix after step k; `visible` marks the targets actually measured.
     `rejections` counts the measurements in a row that the gate has rejected; None without a gate.
     """
 
@@ -91,7 +92,7 @@ class Trace(eqx.Module):
 
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
-    """The mean of `values` over the targets that are present; 0 where none is."""
+    """The mean of `values` over the present targets; 0 without any."""
     count = jnp.maximum(jnp.sum(present, axis=-1), 1).astype(values.dtype)
     return jnp.sum(jnp.where(present, values, 0.0), axis=-1) / count
 
@@ -99,11 +100,11 @@ def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Fl
 class Protocol(NamedTuple):
     """Source of information: the soft view of training, or real measurements.
 
-    With `levels`, it grows by the soft weight of each level: one information matrix a level, of which the policy sees
-    the last. The weight is taken at the predicted mean (the paper), or, `at_truth`, where the target really is, for
-    training on episodes with truth. Without levels it grows only with real measurements: the Kalman filter; if the
-    sensor says `uses_missed_detections`, also with what was not seen. With a `gate` it rejects measurements whose
-    squared distance to their prediction is above that (see `models.gate`).
+    With `levels`, information grows by the soft weight of each level: one information matrix per level, the last of
+    which the policy observes. The weight is that of the predicted mean (the paper) or, `at_truth`, of the true
+    position, for training on episodes with truth. Without levels only real measurements count: the Kalman filter, with
+    negative information if the sensor `uses_missed_detections`. `gate` is the largest squared distance of a measurement
+    to its prediction that is not rejected (see `models.gate`).
     """
 
     levels: tuple[Softness, ...]
@@ -120,22 +121,19 @@ PROTOCOLS = {"surrogate": SURROGATE, "true": TRUE}
 class Backpropagation(NamedTuple):
     """Backpropagation through time.
 
-    With `segment` (rematerialisation), only the state at the beginning of every `segment` steps is stored, and the
-    steps between are computed again on the way back: a third more work, far less memory, the same gradient. With
-    `window` (truncation), the gradient goes no further back than to the last step whose number is a multiple of it.
+    With `segment` (rematerialisation), only the state at the beginning of every `segment` steps is stored; the backward
+    pass computes the others again: a third more work, far less memory, the same gradient. With `window` (truncation),
+    the gradient ends at the last step whose number is a multiple of it.
     """
 
     segment: int | None = None
     window: int | None = None
 
 
-FULL_BACKPROPAGATION = Backpropagation()
-
-
 class State(eqx.Module):
-    """Pose and beliefs after step k; `information` has one matrix for each of the protocol's levels (at least one).
+    """Pose and beliefs after step k; `information` has one matrix per level of the protocol (at least one).
 
-    `rejections` counts the measurements in a row of each target that were rejected; None without a gate.
+    `rejections` is as in `Trace`.
     """
 
     step: Count
@@ -146,23 +144,22 @@ class State(eqx.Module):
     rejections: Int[Array, " n"] | None = None
 
 
-class Reality(eqx.Module):
-    """True states after a step, and the standard normals of its measurements."""
-
-    state: Float[Array, "n n_y"]
-    noise: Float[Array, "n n_z"]
-
-
-class Arrival(eqx.Module):
-    """Which targets are present after a step, and the first mean of a belief that begins there."""
-
-    present: Bool[Array, " n"]
-    mean: Float[Array, "n n_y"]
+def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count) -> Observation:
+    """The observation of a predicted state in an episode of `horizon` steps."""
+    return Observation(
+        step=predicted.step,
+        left=horizon - predicted.step,
+        pose=predicted.pose,
+        mean=predicted.mean,
+        information=predicted.information[-1],
+        present=predicted.present,
+        known_input=known_input,
+    )
 
 
 class Instant(eqx.Module):
     """The part of an episode that belongs to one step; None where the episode has no such part."""
 
-    known_input: Float[Array, "n m_y"]
-    reality: Reality | None
-    arrival: Arrival | None
+    known_input: Float[Array, "*K n m_y"]
+    truth: Truth | None = None
+    arrivals: Arrivals | None = None

@@ -1,13 +1,12 @@
 """One step of the simulation as a tuple of named pure stages, fixed once for an episode by `stages`.
 
 Step k: predict p_{k+1}, P_{k+1}; observe; decide u_k at T_k; then the stages: move to T_{k+1}, sense y_{k+1}, gate
-(association), weigh, correct and update to mu_{k+1}, Y_{k+1}. What a scenario does not have (truth, a gate, missed
-detections, births and deaths) has no stage, and costs nothing.
+(association), weigh, correct and update to mu_{k+1}, Y_{k+1}. A scenario without truth, gate, missed detections or
+births and deaths has no such stage, and does not pay for it.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -20,14 +19,14 @@ from foveate.models.belief import Belief
 from foveate.models.missed_detection import given_missed_detection
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import detection_weight
-from foveate.simulation.records import Arrival, Episode, Instant, Observation, Protocol, Reality, State
-from foveate.types import Action, Count, Pose
+from foveate.simulation.records import Episode, Instant, Protocol, State
+from foveate.types import Action, Pose
 
 
 class Sensed(NamedTuple):
     """Measurements z = H y + eta of every target, also of those outside of the view.
 
-    `position_body` is where each target really is, `in_view` whether that is inside of the field of view.
+    `position_body` is the true position of each target, `in_view` marks those inside of the field of view.
     """
 
     position_body: Float[Array, "n d"]
@@ -35,19 +34,12 @@ class Sensed(NamedTuple):
     measurement: Float[Array, "n n_z"]
 
 
-class Restart(NamedTuple):
-    """Beliefs that begin again at their measurement: which, and the new ones (of all, used where `where` holds)."""
-
-    where: Bool[Array, " n"]
-    belief: Belief
-
-
 class Draft(NamedTuple):
-    """A step under way: what its stages have found so far.
+    """A step in progress: the results of its stages.
 
     `state` begins as the predicted one and ends as that after the update. `covariance` is V as the filter believes it,
-    at the predicted means; `measured` says whose measurement is taken; `weight` how much of a measurement's
-    information each level counts.
+    at the predicted means; `measured` marks the targets whose measurement is taken; `weight` is the share of a
+    measurement's information that each level counts; `restart` marks the beliefs to be replaced, and holds new ones.
     """
 
     predicted: State
@@ -58,7 +50,7 @@ class Draft(NamedTuple):
     measured: Bool[Array, " n"]
     weight: Float[Array, "levels n"]
     sensed: Sensed | None = None
-    restart: Restart | None = None
+    restart: tuple[Bool[Array, " n"], Belief] | None = None
 
 
 Stage = Callable[[Problem, Protocol, Draft], Draft]
@@ -67,14 +59,8 @@ Stage = Callable[[Problem, Protocol, Draft], Draft]
 
 def instants(episode: Episode) -> Instant:
     """An episode cut into its steps: every array gets a leading axis of K."""
-    truth, arrivals = episode.truth, episode.arrivals
-    reality = None if truth is None else (truth.state[1:], truth.measurement_noise)
-    arrival = None if arrivals is None else (arrivals.present[1:], arrivals.mean[1:])
-
-    def cut(known_input, reality, arrival):
-        return Instant(known_input, reality and Reality(*reality), arrival and Arrival(*arrival))
-
-    return jax.vmap(cut)(episode.inputs, reality, arrival)
+    truth = episode.truth and replace(episode.truth, state=episode.truth.state[1:])
+    return Instant(episode.inputs, truth, episode.arrivals and jax.tree.map(lambda part: part[1:], episode.arrivals))
 
 
 def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
@@ -93,32 +79,16 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
 
 
 def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) -> State:
-    """Every belief one step ahead; the pose is still T_k."""
+    """Predict every belief one step ahead; the pose is still T_k."""
     problem = problem.at(state.step)
     ahead = jax.vmap(jax.vmap(belief.predict_information, (0, None)), (0, None))
-    return replace(
-        state,
-        mean=problem.motion.advance(state.mean, known_input),
-        information=ahead(state.information, problem.motion),
-    )
-
-
-def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count) -> Observation:
-    """What a policy sees of a predicted state in an episode of `horizon` steps."""
-    return Observation(
-        step=predicted.step,
-        left=horizon - predicted.step,
-        pose=predicted.pose,
-        mean=predicted.mean,
-        information=predicted.information[-1],
-        present=predicted.present,
-        known_input=known_input,
-    )
+    information = ahead(state.information, problem.motion)
+    return replace(state, mean=problem.motion.advance(state.mean, known_input), information=information)
 
 
 def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stage, ...]:
-    """The stages after a decision, as problem, protocol and the kind of episode ask for them."""
-    has_truth, has_births = instant.reality is not None, instant.arrival is not None
+    """The stages after a decision that problem, protocol and the kind of episode need."""
+    has_truth, has_births = instant.truth is not None, instant.arrivals is not None
     has_gate = has_truth and protocol.gate is not None
     # Negative information is of the real field of view: a soft view has already counted a part of a measurement there.
     uses_missed_detections = has_truth and problem.sensor.uses_missed_detections and not protocol.levels
@@ -140,55 +110,54 @@ def act(problem: Problem, protocol: Protocol, predicted: State, instant: Instant
 
     `stages` depends on structure alone, so that a compiled program holds one fixed tuple.
     """
-    now, n = problem.at(predicted.step), len(predicted.present)
+    problem, n = problem.at(predicted.step), len(predicted.present)
     draft = Draft(
         predicted=predicted,
         action=action,
         instant=instant,
         state=replace(predicted, step=predicted.step + 1),
-        covariance=jnp.broadcast_to(now.sensor.V, (n, *now.sensor.V.shape)),
+        covariance=jnp.broadcast_to(problem.sensor.V, (n, *problem.sensor.V.shape)),
         measured=jnp.zeros(n, bool),
         weight=jnp.zeros((1, n)),
     )
     for stage in stages(problem, protocol, instant):
-        draft = stage(now, protocol, draft)
+        draft = stage(problem, protocol, draft)
     return draft
 
 
 def move(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """T_{k+1} = T_k exp(tau hat(u)), and V at the predicted positions as they are seen from there."""
+    """T_{k+1} = T_k exp(tau hat(u)), and V at the predicted positions as seen from there."""
     pose = problem.agent.move(draft.predicted.pose, draft.action, problem.tau)
-    position_body = _position_body(problem, pose, draft.predicted.mean)
-    covariance = _covariance(problem, pose, position_body)
+    covariance = _covariance(problem, pose, _position_body(problem, pose, draft.predicted.mean))
     return draft._replace(state=replace(draft.state, pose=pose), covariance=covariance)
 
 
 def sense(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """Measure every target where it really is; only those in view, and present before and after, count."""
-    reality, arrival, pose = draft.instant.reality, draft.instant.arrival, draft.state.pose
-    assert reality is not None, "`stages` asks for this where there is truth"
+    """Measure every target at its true position; only those in view, and present before and after, count."""
+    reality, arrivals, pose = draft.instant.truth, draft.instant.arrivals, draft.state.pose
+    assert reality is not None, "a stage of episodes with truth"
     position_body = _position_body(problem, pose, reality.state)
     in_view = problem.sensor.view.contains(position_body) & draft.predicted.present
-    if arrival is not None:
-        in_view = in_view & arrival.present
+    if arrivals is not None:
+        in_view = in_view & arrivals.present
     root = cholesky_spd(_covariance(problem, pose, position_body))
-    noise = multiply(root, reality.noise[..., None])
+    noise = multiply(root, reality.measurement_noise[..., None])
     measurement = reality.state @ problem.sensor.H.T + noise[..., 0]
     return draft._replace(sensed=Sensed(position_body, in_view, measurement), measured=in_view)
 
 
 def gate_measurements(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """Reject measurements too far from their prediction; after some in a row, the belief begins again at the last."""
+    """Reject measurements too far from their prediction; after several in a row, restart the belief from the last."""
     sensed, rejections, H = draft.sensed, draft.state.rejections, problem.sensor.H
-    assert sensed is not None, "`stages` asks for this where there is truth"
-    assert protocol.gate is not None, "`stages` asks for this where there is a gate"
+    assert sensed is not None, "a stage of episodes with truth"
+    assert protocol.gate is not None, "a stage of protocols with a gate"
     assert rejections is not None, "`start` counts them where there is a gate"
 
-    def look(mean, information, z, V):
+    def compare(mean, information, z, V):
         prediction = Belief(mean, information)
         return gate.squared_distance(prediction, z, H, V), gate.one_point(problem.prior_information, z, H, V)
 
-    distance, fresh = jax.vmap(look)(
+    distance, fresh = jax.vmap(compare)(
         draft.predicted.mean, draft.predicted.information[-1], sensed.measurement, draft.covariance
     )
     # Written so that a distance that is not a number is rejected, too.
@@ -196,12 +165,12 @@ def gate_measurements(problem: Problem, protocol: Protocol, draft: Draft) -> Dra
     restarts = rejected & (rejections + 1 >= gate.RESTART_AFTER)
     measured = (sensed.in_view & ~rejected) | restarts
     state = replace(draft.state, rejections=jnp.where(measured, 0, jnp.where(rejected, rejections + 1, rejections)))
-    return draft._replace(state=state, measured=measured, restart=Restart(restarts, fresh))
+    return draft._replace(state=state, measured=measured, restart=(restarts, fresh))
 
 
 def correct_means(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """mu = p + K (z - H p) where a measurement is taken, with the gain of the predicted information."""
-    assert draft.sensed is not None, "`stages` asks for this where there is truth"
+    assert draft.sensed is not None, "a stage of episodes with truth"
     corrected = jax.vmap(lambda p, P, z, V: belief.correct_mean(Belief(p, P), z, problem.sensor.H, V))(
         draft.predicted.mean, draft.predicted.information[-1], draft.sensed.measurement, draft.covariance
     )
@@ -210,7 +179,7 @@ def correct_means(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
 
 
 def weigh_softly(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """1 - Phi(d) of every level: the surrogate, at the predicted mean, or, `at_truth`, where the target really is."""
+    """1 - Phi(d) of every level: the surrogate, at the predicted mean or, `at_truth`, at the true position."""
     if protocol.at_truth and draft.sensed is not None:
         position_body = draft.sensed.position_body
     else:
@@ -233,41 +202,41 @@ def update_information(problem: Problem, protocol: Protocol, draft: Draft) -> Dr
 
 
 def restart_beliefs(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """Take the one-point belief where `gate_measurements` lets one begin again."""
+    """Take the one-point belief where `gate_measurements` restarts one."""
     assert draft.restart is not None, "`gate_measurements` comes first"
     where, fresh = draft.restart
-    mean = jnp.where(where[:, None], fresh.mean, draft.state.mean)
-    information = jnp.where(where[:, None, None], fresh.information, draft.state.information)
-    return draft._replace(state=replace(draft.state, mean=mean, information=information))
+    return _with_beliefs(draft, where, fresh.mean, fresh.information)
 
 
 def use_missed_detections(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """Condition the belief of a target that was not in view on its being outside of the view."""
-    assert draft.sensed is not None, "`stages` asks for this where there is truth"
-    state, in_view = draft.state, draft.sensed.in_view
-    contains = partial(_view_contains, problem, state.pose)
-    outside = jax.vmap(lambda m, Y: given_missed_detection(Belief(m, Y), problem.motion.Z, contains))(
+    """Condition the belief of every target not in view on its being outside of the view."""
+    assert draft.sensed is not None, "a stage of episodes with truth"
+    state = draft.state
+
+    def is_inside(positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
+        return problem.sensor.view.contains(problem.agent.space.to_body(state.pose, positions_world))
+
+    outside = jax.vmap(lambda m, Y: given_missed_detection(Belief(m, Y), problem.motion.Z, is_inside))(
         state.mean, state.information[0]
     )
-    mean = jnp.where(in_view[:, None], state.mean, outside.mean)
-    information = jnp.where(in_view[:, None, None], state.information, outside.information)
-    return draft._replace(state=replace(state, mean=mean, information=information))
+    return _with_beliefs(draft, ~draft.sensed.in_view, outside.mean, outside.information)
 
 
 def replace_targets(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """Begin the belief of a target that has just come; nothing could be measured of it yet."""
-    state, arrival = draft.state, draft.instant.arrival
-    assert arrival is not None, "`stages` asks for this where targets come and go"
-    begins = arrival.present & ~draft.predicted.present
-    rejections = state.rejections
-    state = replace(
-        state,
-        mean=jnp.where(begins[:, None], arrival.mean, state.mean),
-        information=jnp.where(begins[:, None, None], problem.prior_information, state.information),
-        present=arrival.present,
-        rejections=None if rejections is None else jnp.where(begins, 0, rejections),
-    )
-    return draft._replace(state=state)
+    """Begin the belief of every target that has just appeared; it could not be measured yet."""
+    state, arrivals = draft.state, draft.instant.arrivals
+    assert arrivals is not None, "a stage of episodes with births and deaths"
+    begins = arrivals.present & ~draft.predicted.present
+    rejections = None if state.rejections is None else jnp.where(begins, 0, state.rejections)
+    draft = _with_beliefs(draft, begins, arrivals.mean, problem.prior_information)
+    return draft._replace(state=replace(draft.state, present=arrivals.present, rejections=rejections))
+
+
+def _with_beliefs(draft: Draft, where: Bool[Array, " n"], mean: Array, information: Array) -> Draft:
+    """Replace the beliefs of all levels where `where` holds."""
+    mean = jnp.where(where[:, None], mean, draft.state.mean)
+    information = jnp.where(where[:, None, None], information, draft.state.information)
+    return draft._replace(state=replace(draft.state, mean=mean, information=information))
 
 
 def _position_body(problem: Problem, pose: Pose, state: Float[Array, "n n_y"]) -> Float[Array, "n d"]:
@@ -278,7 +247,3 @@ def _position_body(problem: Problem, pose: Pose, state: Float[Array, "n n_y"]) -
 def _covariance(problem: Problem, pose: Pose, position_body: Float[Array, "n d"]) -> Float[Array, "n n_z n_z"]:
     rotation = problem.agent.space.rotation(pose)
     return jax.vmap(problem.sensor.covariance, (None, 0))(rotation, position_body)
-
-
-def _view_contains(problem: Problem, pose: Pose, positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
-    return problem.sensor.view.contains(problem.agent.space.to_body(pose, positions_world))

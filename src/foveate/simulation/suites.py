@@ -1,4 +1,4 @@
-"""Suites of scenes, the paper's table 1 and a scenario's own, and the episodes that scenes and a seed make."""
+"""Suites of scenes (the paper's table 1 and a scenario's own), and episodes from scenes and a seed."""
 
 import zlib
 from collections.abc import Sequence
@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from foveate.errors import InputError
@@ -22,13 +21,13 @@ SUITE_SCENES_PER_CELL = 30
 
 
 def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, count: int, biased: bool) -> list[Scene]:
-    """`count` test scenes with that many targets from the distribution of `settings`, with its drift or without."""
+    """`count` random test scenes of `settings` with this number of targets, with its drift (`biased`) or without."""
     cell = replace(settings, targets_min=targets, targets_max=targets)
     if not biased:
         cell = replace(cell, drift_m_s=(0.0,) * len(cell.drift_m_s))
     rng = np.random.default_rng([seed, targets, biased])
     uniform = rng.uniform(-1.0, 1.0, (count, draw_size(cell, problem)))
-    # In float64 whatever the working precision, so that a seed means the same scenes everywhere.
+    # Always in float64, so that a seed means the same scenes at every working precision.
     with jax.enable_x64(True):
         drawn = jax.jit(jax.vmap(lambda numbers: draw(cell, problem, numbers, test=True)))(uniform)
         agents = [problem.agent.space.to_numbers(pose) for pose in drawn.pose]
@@ -53,7 +52,7 @@ def table1(problem: Problem, seed: int = SUITE_SEED) -> list[Scene]:
 
 
 def own_suite(settings: SceneSettings, problem: Problem, seed: int = SUITE_SEED) -> list[Scene]:
-    """30 test scenes of a scenario's own for each of the fewest, the middle and the most targets it is made for."""
+    """Test scenes of a scenario: 30 each with its smallest, middle and largest number of targets."""
     fewest, most = settings.targets_min, settings.targets_max
     counts = sorted({fewest, (fewest + most) // 2, most})
     return _cells(settings, problem, seed, [(targets, any(settings.drift_m_s)) for targets in counts])
@@ -68,14 +67,14 @@ def _cells(settings: SceneSettings, problem: Problem, seed: int, cells: list[tup
 
 
 def _numbers(values: Any) -> tuple[float, ...]:
-    """Rounded to a micrometre: a scene means the same numbers in every precision and in a file."""
+    """Round to a micrometre: a scene has the same numbers in every precision and in a file."""
     return tuple(round(float(value), 6) + 0.0 for value in values)
 
 
 def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:
     """All random numbers of one episode of a scene, from (seed, scene id, episode) alone: the same for every method.
 
-    Drawn by numpy at the scene's true size, so that neither padding nor precision changes a number.
+    numpy draws them at the scene's true size, so that neither padding nor precision changes a number.
     """
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
     steps, n = scene.horizon, len(scene.targets)
@@ -98,40 +97,25 @@ def scene_episodes(
     if not problem.motion.takes_drift and (moving := [scene.id for scene in scenes if scene.motion == "biased"]):
         raise InputError(f"scene {moving[0]!r}: drift: expected 0, as the scenario's targets have no place for it")
     n = max(1, *(len(scene.targets) for scene in scenes))
-    steps = max(scene.horizon for scene in scenes)
-    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
-    count = len(scenes) * episodes
-    drawn: dict[str, Any] = {
-        "pose": [],
-        "position": np.zeros((count, n, d)),
-        "drift": np.zeros((count, n, d)),
-        "present": np.zeros((count, n), bool),
-        "horizon": np.zeros(count, int),
-    }
-    noise = {
-        "jitter": np.zeros((count, steps, n, d)),
-        "process": np.zeros((count, steps, n, n_y)),
-        "measurement": np.zeros((count, steps, n, n_z)),
-        "first": np.zeros((count, n, n_y)),
-    }
-    for row in range(count):
-        scene, k = scenes[row // episodes], row % episodes
-        here = len(scene.targets)
-        drawn["pose"].append(problem.agent.space.from_numbers(scene.agent))
-        drawn["position"][row, :here] = np.reshape(scene.targets, (here, d))
-        drawn["drift"][row, :here] = np.reshape(scene.drift, (here, d))
-        drawn["present"][row, :here] = True
-        drawn["horizon"][row] = scene.horizon
-        for name, value in scene_noise(problem, scene, seed, k).items():
-            part = (row, slice(here)) if name == "first" else (row, slice(scene.horizon), slice(here))
-            noise[name][part] = value
-    as_float = {name: jnp.asarray(value, float) for name, value in noise.items()}
-    stacked = {
-        "pose": jnp.stack(drawn["pose"]),
-        "position": jnp.asarray(drawn["position"], float),
-        "drift": jnp.asarray(drawn["drift"], float),
-        "present": jnp.asarray(drawn["present"]),
-        "horizon": jnp.asarray(drawn["horizon"]),
-    }
+    steps, d = max(scene.horizon for scene in scenes), problem.agent.space.dimension
+    rows = []
+    for scene in scenes:
+        shape = (len(scene.targets), d)
+        drawn = {
+            "pose": problem.agent.space.from_numbers(scene.agent),
+            "position": _padded(np.reshape(scene.targets, shape), (n,)),
+            "drift": _padded(np.reshape(scene.drift, shape), (n,)),
+            "present": np.arange(n) < len(scene.targets),
+            "horizon": scene.horizon,
+        }
+        for k in range(episodes):
+            noise = scene_noise(problem, scene, seed, k)
+            rows.append((drawn, {name: _padded(x, (steps, n)[3 - x.ndim :]) for name, x in noise.items()}))
+    drawn, noise = jax.tree.map(lambda *parts: np.stack(parts), *rows)
     make = jax.vmap(lambda scene, noise: episode_of(problem, settings, Drawn(**scene), Noise(**noise)))
-    return jax.jit(make)(stacked, as_float)
+    return jax.jit(make)(drawn, noise)
+
+
+def _padded(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """`values` with zeros behind them, so that their first axes have this shape."""
+    return np.pad(values, [(0, size - have) for size, have in zip(shape, values.shape, strict=False)] + [(0, 0)])

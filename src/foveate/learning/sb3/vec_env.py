@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from foveate.learning.sb3.network import flat_inputs
 from foveate.policies.attention import AttentionSettings
-from foveate.simulation.batch import Batch, Programs
+from foveate.simulation.batch import Batch, CompiledEnvironments
 from foveate.simulation.environment import Environment
 from foveate.simulation.records import Observation
 from foveate.types import Key, Scalar
@@ -31,13 +31,14 @@ class TargetsVecEnv(VecEnv):
     def __init__(
         self, environment: Environment, settings: AttentionSettings, count: int, key: Key, reward_scale: float = 1.0
     ) -> None:
-        def look(observation: Observation, left: Scalar) -> Array:
+        def features(observation: Observation, left: Scalar) -> Array:
             return flat_inputs(environment.problem, settings, observation, left)
 
-        self._batch, self._key, self._reward_scale = Batch(Programs(environment, look, count)), key, reward_scale
+        self._batch = Batch(CompiledEnvironments(environment, features, count))
+        self._key, self._reward_scale = key, reward_scale
         self._actions = np.zeros((count, self._batch.axes), np.float32)
         self._returns = np.zeros(count)
-        size = self._batch.programs.seen.shape[1]
+        size = self._batch.programs.observed.shape[1]
         rows = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
 
@@ -62,13 +63,13 @@ class TargetsVecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(steps.done):
             infos[i] = {
-                "terminal_observation": steps.end[i],
+                "terminal_observation": steps.final[i],
                 "TimeLimit.truncated": False,
                 "score": float(steps.score[i]),
                 "episode": {"r": float(self._returns[i]), "l": int(steps.length[i])},
             }
         self._returns[steps.done] = 0.0
-        return steps.seen, reward, steps.done, infos
+        return steps.observed, reward, steps.done, infos
 
     def close(self) -> None:
         """Close nothing: no resource is open."""
