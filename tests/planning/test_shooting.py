@@ -19,7 +19,7 @@ from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness
 from foveate.models.target import LinearGaussian
 from foveate.planning.information import Future, final_log_det, score
-from foveate.planning.receding import Given, Receding, believed_future
+from foveate.planning.receding import FixedActions, Receding, believed_future
 from foveate.planning.shooting import PAPER, Plan, PlanSettings, ascend, better, level_at, plan
 from foveate.planning.tours import best_range, straight_ahead, tours
 from foveate.scenario.scenario import Scenario
@@ -152,7 +152,7 @@ def test_score_is_that_of_the_one_simulation():
     episode = jax.tree.map(lambda x: x[0], suite.episodes)
     episode = eqx.tree_at(lambda e: e.truth, episode, None)
     action = jnp.asarray(np.random.default_rng(4).uniform(-1, 1, (TWO.horizon, 2)))
-    simulated = jax.jit(lambda e: log_dets(PROBLEM, Given(action), e, SURROGATE, jax.random.key(0)))(episode)
+    simulated = jax.jit(lambda e: log_dets(PROBLEM, FixedActions(action), e, SURROGATE, jax.random.key(0)))(episode)
     mean = [episode.mean]
     for known_input in episode.inputs:
         mean.append(PROBLEM.motion.advance(mean[-1], known_input))
