@@ -22,7 +22,7 @@ from foveate.learning.learner import EpochReport, Learner
 from foveate.learning.objective import step_scores
 from foveate.models.problem import Problem
 from foveate.policies.inputs import pointer_feature_count
-from foveate.policies.layers import Layers, fresh_layers
+from foveate.policies.layers import Layers, apply_relu, fresh_layers
 from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
@@ -43,9 +43,7 @@ class Critic(eqx.Module):
 
     def __call__(self, observation: Observation) -> Scalar:
         """The value of an observation [nat per target, or share of time]."""
-        hidden = self.encoder(observation)[1]
-        for layer in self.value_layers[:-1]:
-            hidden = jax.nn.relu(layer(hidden))
+        hidden = apply_relu(self.value_layers[:-1], self.encoder(observation)[1])
         return self.value_layers[-1](hidden)[0]
 
 
@@ -136,11 +134,11 @@ def sample_trajectory(
     def record(done: Outcome):
         return done.observation, *done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured
 
-    *decisions, log_det, visible = simulate(problem, decide, episode, protocol, key, record)
+    observation, action, density, log_det, visible = simulate(problem, decide, episode, protocol, key, record)
     initial = start(problem, episode, protocol)
     first = per_target(jnp.mean(log_det_spd(initial.information), axis=0), initial.present)
     reward = rewards(log_det, visible, first, episode, objective)
-    return Trajectory(*decisions, reward, jnp.arange(len(reward)) < episode.horizon)
+    return Trajectory(observation, action, density, reward, jnp.arange(len(reward)) < episode.horizon)
 
 
 def advantages(

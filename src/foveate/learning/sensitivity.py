@@ -57,7 +57,7 @@ def policy_gradient(
     """
     if problem.agent.space.dimension != 3:
         raise InputError(
-            "Proposition 1 is stated for SE(3): expected one in space (foveate.simulation.planar_in_space)"
+            "Proposition 1 is stated for SE(3): embed a planar problem (foveate.simulation.planar_in_space)"
         )
     if episode.truth is not None or episode.arrivals is not None:
         raise InputError("Proposition 1 assumes a noise-free episode: expected neither truth nor arrivals")
@@ -76,13 +76,8 @@ def policy_gradient(
         return jax.tree.map(lambda new, old: jnp.where(k < episode.horizon, new, old), after, before), None
 
     Y = first_information(problem, episode.mean.shape[0])
-    first = Sensitivity(
-        T=episode.pose,
-        mean=episode.mean,
-        Y=Y,
-        Lambda=jnp.zeros((theta.size, 4, 4), Y.dtype),  # (Lambda_0 = 0, Omega_0 = 0)
-        Omega=jnp.zeros((theta.size, *Y.shape), Y.dtype),
-    )
+    zeros = (jnp.zeros((theta.size, *shape), Y.dtype) for shape in ((4, 4), Y.shape))  # Lambda_0 = 0, Omega_0 = 0
+    first = Sensitivity(episode.pose, episode.mean, Y, *zeros)
     last, _ = jax.lax.scan(step, first, jnp.arange(episode.inputs.shape[0]))
     # Equation (23): dr/dtheta^(i) = sum_j tr((Y_K^(j))^-1 Omega_K^(j,i)); padding has no part in it.
     real = episode.present.astype(Y.dtype)

@@ -43,8 +43,8 @@ class OpenLoop(Policy):
 
     def start(self, observation: Observation) -> Float[Array, "K m"]:
         """The actions of the plan; all later inputs are predicted to equal the first."""
-        steps = jnp.array(self.steps)
-        future = believed_future(self.problem, observation, observation.known_input, self.steps, steps)
+        known_input, steps = observation.known_input, self.steps
+        future = believed_future(self.problem, observation, known_input, steps, jnp.array(steps))
         return plan(self.problem, future, self.settings, jax.random.key(0)).action
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
@@ -98,22 +98,12 @@ class Receding(Policy):
     ) -> tuple[Float[Array, "window m"], Any]:
         """The policy's actions in its predicted future, in a soft view; its memory after the first one."""
         protocol = Protocol(levels=(Softness(*self.settings.last),))
-        predicted = State(
-            step=observation.step,
-            pose=observation.pose,
-            mean=observation.mean,
-            information=observation.information[None],
-            present=observation.present,
-        )
+        belief = (observation.mean, observation.information[None], observation.present)
+        predicted = State(observation.step, observation.pose, *belief)
         action, memory = policy(observation, memory, jax.random.fold_in(key, observation.step))
         after = act(self.problem, protocol, predicted, Instant(observation.known_input, None, None), action).state
-        future = Episode(
-            pose=after.pose,
-            mean=after.mean,
-            present=after.present,
-            inputs=jnp.broadcast_to(mean_input, (self.window - 1, *mean_input.shape)),
-            horizon=observation.step + observation.left,
-        )
+        inputs = jnp.broadcast_to(mean_input, (self.window - 1, *mean_input.shape))
+        future = Episode(after.pose, after.mean, after.present, inputs, horizon=observation.step + observation.left)
         rest = (future, protocol, key, lambda done: done.action)
         later = simulate(self.problem, following(policy), *rest, memory=memory, state=after)
         return jnp.concatenate([action[None], later]), memory

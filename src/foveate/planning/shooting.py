@@ -67,17 +67,13 @@ ONLINE = {
 """For a plan at every step: few iterations from the last plan. The targets' future is uncertain, and so the soft view
 scores a plan better than the real one, whose edge the errors cross."""
 
-_REFINING = PlanSettings(starts=8, iterations=15, learning_rate=0.06, last=PAPER, keep=PAPER)
-REFINING = {
-    "surrogate": _REFINING,
-    "true": replace(_REFINING, first=(1.0, 0.4), last=(0.0, 0.15), keep=(0.0, 0.15)),
-}
-"""For refining a policy at every step: from the actions it would take, from the last plan, and from a few tours."""
-
 
 def refining(protocol: str, steps: int) -> PlanSettings:
-    """Settings to refine a policy's actions in `steps` iterations."""
-    return replace(REFINING[protocol], iterations=steps)
+    """Settings to refine a policy in `steps` iterations: from its actions, from the last plan, and from a few tours."""
+    settings = PlanSettings(starts=8, iterations=steps, learning_rate=0.06, last=PAPER, keep=PAPER)
+    if protocol == "surrogate":
+        return settings
+    return replace(settings, first=(1.0, 0.4), last=(0.0, 0.15), keep=(0.0, 0.15))
 
 
 class Plan(eqx.Module):

@@ -11,7 +11,7 @@ from foveate.geometry.space import Space
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import Frame, Scale, policy_inputs, require_position_first
-from foveate.policies.layers import Layers, fresh_layers, masked_softmax
+from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
@@ -56,8 +56,8 @@ class AttentionSettings:
             (n_y + n_y * (n_y + 1) // 2, *self.target_widths),
             (2 * self.agent_widths[-1], *self.out_widths, len(problem.agent.axes)),
         )
-        layers = fresh_layers(widths, key)
-        return AttentionPolicy(*layers, space, self.frame, self.alpha, self.length_m, self.information)
+        agent, target, out = fresh_layers(widths, key)
+        return AttentionPolicy(agent, target, out, space, self.frame, self.alpha, self.length_m, self.information)
 
 
 class AttentionPolicy(Policy):
@@ -75,12 +75,7 @@ class AttentionPolicy(Policy):
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: tanh of the last layer."""
         pose, targets = policy_inputs(observation, self.space, self.frame, self.length_m, self.information)
-        for layer in self.agent_layers:
-            pose = jax.nn.relu(layer(pose))
-        for layer in self.target_layers:
-            targets = jax.nn.relu(jax.vmap(layer)(targets))
+        pose, targets = apply_relu(self.agent_layers, pose), apply_relu(self.target_layers, targets)
         weights = masked_softmax(targets @ pose / self.alpha, observation.present)
         hidden = jnp.concatenate([jax.nn.relu(weights @ targets), pose])
-        for layer in self.out_layers[:-1]:
-            hidden = jax.nn.relu(layer(hidden))
-        return jnp.tanh(self.out_layers[-1](hidden)), memory
+        return jnp.tanh(self.out_layers[-1](apply_relu(self.out_layers[:-1], hidden))), memory

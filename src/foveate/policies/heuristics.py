@@ -91,8 +91,8 @@ class Uncertain(Steering):
         position = self.problem.motion.position(observation.mean)
         distance_m = jnp.linalg.norm(position - self.problem.agent.space.position(observation.pose), axis=-1)
         # Targets that were never seen have equal beliefs: a millinat per metre decides among them only.
-        merit = log_det_spd(observation.information) + 1e-3 * distance_m
-        choice = jnp.argmin(jnp.where(observation.present, merit, jnp.inf))
+        cost = log_det_spd(observation.information) + 1e-3 * distance_m
+        choice = jnp.argmin(jnp.where(observation.present, cost, jnp.inf))
         return position[choice], observation.present.any(), memory
 
 

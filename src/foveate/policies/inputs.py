@@ -43,22 +43,18 @@ def policy_inputs(
     """
     mean, information = observation.mean, observation.information
     if frame == "world":
-        return space.log(observation.pose), _features(mean, information, length_m, scale)
-    d, (n, size) = space.dimension, mean.shape
-    turn = space.rotation(observation.pose)
-    rest_body = multiply(mean[:, d:].reshape(-1, d), turn).reshape(n, size - d)
-    mean_body = jnp.concatenate([space.to_body(observation.pose, mean[:, :d]), rest_body], axis=-1)
-    # diag(R, R, ..)^T P diag(R, R, ..): one product rotates every d numbers of all rows, another those of all columns.
-    rows_body = multiply(information.reshape(-1, d), turn).reshape(n, size, size)
-    information_body = multiply(jnp.swapaxes(rows_body, -1, -2).reshape(-1, d), turn).reshape(n, size, size)
-    return jnp.zeros(space.twist_size, mean.dtype), _features(mean_body, information_body, length_m, scale)
-
-
-def _features(
-    mean: Float[Array, "n n_y"], information: Float[Array, "n n_y n_y"], length_m: float, scale: Scale
-) -> Float[Array, "n features"]:
+        pose = space.log(observation.pose)
+    else:
+        d, (n, size) = space.dimension, mean.shape
+        turn = space.rotation(observation.pose)
+        pose = jnp.zeros(space.twist_size, mean.dtype)
+        rest_body = multiply(mean[:, d:].reshape(-1, d), turn).reshape(n, size - d)
+        mean = jnp.concatenate([space.to_body(observation.pose, mean[:, :d]), rest_body], axis=-1)
+        # diag(R, R, ..)^T P diag(R, R, ..): one product rotates every d numbers of all rows, another those of columns.
+        rows_body = multiply(information.reshape(-1, d), turn).reshape(n, size, size)
+        information = multiply(jnp.swapaxes(rows_body, -1, -2).reshape(-1, d), turn).reshape(n, size, size)
     packed = vech(information)
-    return jnp.concatenate([mean / length_m, jnp.arcsinh(packed) if scale == "asinh" else packed], axis=-1)
+    return pose, jnp.concatenate([mean / length_m, jnp.arcsinh(packed) if scale == "asinh" else packed], axis=-1)
 
 
 def pointer_features(observation: Observation, space: Space, length_m: float) -> Float[Array, "n features"]:

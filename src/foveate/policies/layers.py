@@ -31,6 +31,13 @@ def fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[Layers]:
     return chains
 
 
+def apply_relu(layers: Layers, x: Float[Array, "*n width"]) -> Float[Array, "*n out"]:
+    """Apply layers, with a ReLU after each, to a vector or to every row of a matrix."""
+    for layer in layers:
+        x = jax.nn.relu(layer(x) if x.ndim == 1 else jax.vmap(layer)(x))
+    return x
+
+
 def masked_softmax(scores: Float[Array, " n"], mask: Bool[Array, " n"]) -> Float[Array, " n"]:
     """Softmax over the entries where `mask` holds, 0 elsewhere; all 0, with zero derivative, where none does.
 

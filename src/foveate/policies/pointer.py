@@ -17,7 +17,7 @@ from foveate.geometry.space import Space
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import pointer_feature_count, pointer_features
-from foveate.policies.layers import Layers, fresh_layers, masked_softmax
+from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
@@ -62,8 +62,9 @@ class PointerSettings:
             (embedding + context, *self.mode_widths, self.modes * (1 + axes)),
             (context, 1 + axes),
         )
-        target, query, *others = fresh_layers(widths, key)
-        return PointerPolicy(SetEncoder(target, query, problem.agent.space, self.length_m), *others, self.modes)
+        target, query, context_layers, mode, idle = fresh_layers(widths, key)
+        encoder = SetEncoder(target, query, problem.agent.space, self.length_m)
+        return PointerPolicy(encoder, context_layers, mode, idle, self.modes)
 
 
 class SetEncoder(eqx.Module):
@@ -76,9 +77,7 @@ class SetEncoder(eqx.Module):
 
     def __call__(self, observation: Observation) -> tuple[Float[Array, "n embedding"], Float[Array, " pooled"]]:
         """The embedding of each target, and the pooled one of all, zero where none is present."""
-        targets = pointer_features(observation, self.space, self.length_m)
-        for layer in self.target_layers:
-            targets = jax.nn.relu(jax.vmap(layer)(targets))
+        targets = apply_relu(self.target_layers, pointer_features(observation, self.space, self.length_m))
         (query,) = self.query_layers
         weights = jax.vmap(masked_softmax, (1, None))(jax.vmap(query)(targets), observation.present)
         return targets, (weights @ targets).ravel()
@@ -103,12 +102,10 @@ class PointerPolicy(Policy):
     def modes(self, observation: Observation) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""
         targets, context = self.encoder(observation)
-        for layer in self.context_layers:
-            context = jax.nn.relu(layer(context))
+        context = apply_relu(self.context_layers, context)
         both = jnp.concatenate([targets, jnp.broadcast_to(context, (len(targets), len(context)))], axis=-1)
-        for layer in self.mode_layers[:-1]:
-            both = jax.nn.relu(jax.vmap(layer)(both))
-        numbers = jax.vmap(self.mode_layers[-1])(both).reshape(len(targets), self.per_target, -1)
+        hidden = apply_relu(self.mode_layers[:-1], both)
+        numbers = jax.vmap(self.mode_layers[-1])(hidden).reshape(len(targets), self.per_target, -1)
         (idle,) = self.idle_layers
         log_weight = jnp.where(observation.present[:, None], numbers[..., 0], PADDING_LOG_WEIGHT)
         raw, last = numbers[..., 1:].reshape(log_weight.size, -1), idle(context)
