@@ -57,8 +57,7 @@ def train(
             count, started = min(training.check_every, training.epochs - done), time.perf_counter()
             learner, report = advance(jnp.array(count), progress.learner, training_key)
             # Processes on different machines may round differently, but must decide alike.
-            scores = score_of(learner.policy, episodes, validation_key)
-            score, at_limit = from_first_process(*(float(x) for x in scores))
+            score, at_limit = from_first_process(*map(float, score_of(learner.policy, episodes, validation_key)))
             finite = bool(report.finite) and bool(jnp.isfinite(score))
             decision = decide(progress, learner, score, at_limit, finite, training)
             progress, stop_reason, ended = decision.progress, decision.stop_reason, time.perf_counter()
@@ -76,12 +75,16 @@ def train(
             )
             files.save(progress, validation, events)
             on_validation(validation, training.epochs)
+    return _outcome(progress, stop_reason or "")
+
+
+def _outcome(progress: Progress, stopped: str) -> Outcome:
     return Outcome(
         epochs=int(progress.learner.epoch),
         best_epoch=int(progress.best_epoch),
         best_score=float(progress.best_score),
         rollbacks=int(progress.rollbacks),
-        stopped=stop_reason or "",
+        stopped=stopped,
     )
 
 

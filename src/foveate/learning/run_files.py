@@ -47,11 +47,12 @@ class RunFiles:
 
     def append(self, validation: Validation, events: Events) -> None:
         """Append a validation to the metrics and the TensorBoard events."""
-        row = {name: value if _is_json(value) else None for name, value in asdict(validation).items()}
+        facts = asdict(validation)
+        # JSON has no NaN and no infinity.
+        row = {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in facts.items()}
         append_line(self.out / METRICS, json.dumps(row))
         names = ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s")
-        numbers = {name: value for name in names if (value := getattr(validation, name)) is not None}
-        events.add(numbers, validation.epoch)
+        events.add({name: facts[name] for name in names if facts[name] is not None}, validation.epoch)
 
     def save_last(self, progress: Progress, epoch: int, elapsed_s: float) -> None:
         """Save the state that a resumed training continues from."""
@@ -107,8 +108,3 @@ def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
         if i < len(lines) - 1:
             raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to resume without it") from error
         return float("inf")
-
-
-def _is_json(value: object) -> bool:
-    """JSON has no NaN and no infinity."""
-    return not isinstance(value, float) or math.isfinite(value)
