@@ -18,8 +18,7 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, Objective
 from foveate.geometry.linalg import log_det_spd
-from foveate.learning.learner import EpochReport, Learner
-from foveate.learning.objective import step_scores
+from foveate.learning.learner import EpochReport, Learner, step_scores
 from foveate.models.problem import Problem
 from foveate.policies.inputs import pointer_feature_count
 from foveate.policies.layers import Layers, apply_relu, fresh_layers

@@ -1,4 +1,4 @@
-"""State, report and compiled loop of epochs, shared by all JAX learners."""
+"""State, report, score and compiled loop of epochs, shared by the learners."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,9 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
-from foveate.simulation.records import Policy
+from foveate.simulation.records import Episode, Policy, per_target
 from foveate.types import Count, Key, Scalar
 
 
@@ -53,3 +53,19 @@ def run_epochs(epoch: Epoch, count: Count, learner: Learner, key: Key) -> tuple[
     zero = EpochReport(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
     arrays, total = jax.lax.fori_loop(0, count, step, (arrays, zero))
     return eqx.combine(arrays, static), replace(total, objective=total.objective / count)
+
+
+def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:
+    """Mean of the targets' values after every step."""
+    arrivals = episode.arrivals
+    # A target that appears in this step is not measured yet.
+    present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
+    return per_target(values, jnp.broadcast_to(present, values.shape))
+
+
+def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Scalar:
+    """Mean of the targets' values after the last step (`terminal`), or over all steps."""
+    score = step_scores(values, episode)
+    if terminal:
+        return score[episode.horizon - 1]
+    return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)

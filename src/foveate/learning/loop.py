@@ -18,7 +18,7 @@ from foveate.learning.learner import EpochReport, Learner, run_epochs
 from foveate.learning.run_files import resume_run, start_run
 from foveate.learning.selection import Progress, decide
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import OnValidation, held_out_episodes, validate
+from foveate.learning.validation import OnValidation, held_out_episodes, no_report, validate
 from foveate.models.problem import Problem
 from foveate.policies.pointer import PointerPolicy
 from foveate.simulation.records import Policy
@@ -31,11 +31,7 @@ would take 1.6 times as long). Other versions may not know the option."""
 
 @jax.default_matmul_precision("highest")  # by default accelerators round factors to 10 bits
 def train(
-    experiment: Experiment,
-    out: Path,
-    seed: int = 0,
-    resume: bool = False,
-    on_validation: OnValidation = lambda validation, total: None,
+    experiment: Experiment, out: Path, seed: int = 0, resume: bool = False, on_validation: OnValidation = no_report
 ) -> Outcome:
     """Train a policy into the run folder `out`.
 

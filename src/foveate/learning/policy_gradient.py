@@ -10,8 +10,7 @@ import optax
 
 from foveate.experiment.learners import TrainingSettings
 from foveate.learning.gradient import mean_and_gradient
-from foveate.learning.learner import EpochReport, Learner
-from foveate.learning.objective import episode_score, step_scores
+from foveate.learning.learner import EpochReport, Learner, episode_score, step_scores
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode

@@ -15,15 +15,11 @@ from foveate.io.files import LOCK, sole_writer
 from foveate.io.progress import Bar
 from foveate.learning import loop
 from foveate.learning.sb3 import ppo
-from foveate.learning.validation import OnValidation
+from foveate.learning.validation import OnValidation, no_report
 
 
 def train(
-    experiment: Experiment,
-    out: Path,
-    seed: int = 0,
-    resume: bool = False,
-    report: OnValidation = lambda validation, total: None,
+    experiment: Experiment, out: Path, seed: int = 0, resume: bool = False, report: OnValidation = no_report
 ) -> Outcome:
     """Train a policy into the run folder `out` by the experiment's own learner; `report` is called at every validation.
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.run_folder import Validation
-from foveate.learning.objective import episode_score
+from foveate.learning.learner import episode_score
 from foveate.models.problem import Problem
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import PROTOCOLS, Episode, Policy, Trace
@@ -19,6 +19,10 @@ OnValidation = Callable[[Validation, int], None]
 
 MAX_ACTION = 0.99
 """Largest size of a command that is not at a limit: beyond it, tanh has hardly any gradient to recover by."""
+
+
+def no_report(validation: Validation, total: int) -> None:
+    """Ignore a validation."""
 
 
 def held_out_episodes(experiment: Experiment, problem: Problem, key: Key) -> Episode:

@@ -63,7 +63,7 @@ class Memory(eqx.Module):
 class Receding(Policy):
     """Plans again at every step, from its last plan and, with a policy, also from that policy's predicted actions.
 
-    A plan covers the next `window` steps, or those to the end of the episode, `horizon` steps in all.
+    A plan covers the next `window` steps, at most to the end of the episode, which has `horizon` steps.
     """
 
     problem: Problem

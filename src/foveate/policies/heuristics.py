@@ -135,11 +135,8 @@ class Lawnmower(Steering):
 def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
     """Resolve the name of a heuristic; raises InputError for an unknown one.
 
-    Args:
-        name: One of HEURISTICS.
-        problem: The problem that the policy acts in.
-        depth_m: Depth of the view [m]; followers stop at half of it.
-        box_world: Low and high corner [m] of the box that the lawnmower sweeps; None takes that of the first beliefs.
+    Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
+    box that the lawnmower sweeps; None takes that of the first beliefs.
     """
     # Half the depth keeps a target in the middle of the view, whichever way it moves.
     policies: dict[str, Policy] = {

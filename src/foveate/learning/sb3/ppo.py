@@ -25,7 +25,7 @@ from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import Outcome, Validation, claim
 from foveate.learning.run_files import RunFiles
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import OnValidation, held_out_episodes, validate
+from foveate.learning.validation import OnValidation, held_out_episodes, no_report, validate
 from foveate.policies.attention import AttentionSettings
 from foveate.simulation.environment import Environment
 
@@ -87,9 +87,7 @@ class _Validator:
         self.on_validation(validation, training.steps)
 
 
-def train(
-    experiment: Experiment, out: Path, seed: int = 0, on_validation: OnValidation = lambda validation, total: None
-) -> Outcome:
+def train(experiment: Experiment, out: Path, seed: int = 0, on_validation: OnValidation = no_report) -> Outcome:
     """Train a policy by PPO into the run folder `out`, and keep the best on held-out scenes.
 
     The same experiment and seed give the same checkpoint on the same machine. Seeds the generators of Python, numpy and
