@@ -8,7 +8,7 @@ import pytest
 
 from foveate.experiment.presets import TrainingSettings
 from foveate.learning.gradient import mean_and_gradient
-from foveate.learning.objective import episode_score
+from foveate.learning.learner import episode_score
 from foveate.learning.policy_gradient import objective
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings

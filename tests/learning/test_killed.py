@@ -215,7 +215,7 @@ def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, 
     monkeypatch.setattr(RunFiles, "save", interrupted)
     assert main(["train", "--config", str(config), "--seed", "3", "--out", str(run)]) == 130
     said = capsys.readouterr().err
-    assert "when the check that is under way is saved" in said
+    assert "when the current validation is saved" in said
     assert f"foveate train --resume {run}\n" in said
     assert checks(run) == 5
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -11,7 +11,7 @@ from foveate.evaluation.evaluate import prepare
 from foveate.experiment.presets import PRESETS
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.information import Future, final_log_det, score
-from foveate.planning.receding import Given
+from foveate.planning.receding import FixedActions
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import ScheduleSettings
 from foveate.simulation.records import SURROGATE
@@ -88,7 +88,7 @@ def test_score_is_that_of_the_one_simulation():
     episode = jax.tree.map(lambda x: x[0], suite.episodes)
     episode = eqx.tree_at(lambda e: e.truth, episode, None)
     action = jnp.asarray(np.random.default_rng(4).uniform(-1, 1, (TWO.horizon, 2)))
-    simulated = jax.jit(lambda e: log_dets(PROBLEM, Given(action), e, SURROGATE, jax.random.key(0)))(episode)
+    simulated = jax.jit(lambda e: log_dets(PROBLEM, FixedActions(action), e, SURROGATE, jax.random.key(0)))(episode)
     mean = [episode.mean]
     for known_input in episode.inputs:
         mean.append(PROBLEM.motion.advance(mean[-1], known_input))

@@ -30,7 +30,7 @@ from foveate.models.belief import entropy
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import Softness
 from foveate.planning.information import Future, score
-from foveate.planning.receding import Given
+from foveate.planning.receding import FixedActions
 from foveate.planning.shooting import OMNISCIENT, PlanSettings, plan
 from foveate.simulation.records import PROTOCOLS, Episode, Protocol
 from foveate.simulation.rollout import rollout
@@ -125,7 +125,7 @@ def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
 
 @eqx.filter_jit
 def _drive(problem: Problem, actions, episodes: Episode, protocol: Protocol, keys):
-    return jax.vmap(lambda e, a, k: rollout(problem, Given(a), e, protocol, k))(episodes, actions, keys)
+    return jax.vmap(lambda e, a, k: rollout(problem, FixedActions(a), e, protocol, k))(episodes, actions, keys)
 
 
 def _future(problem: Problem, episode: Episode) -> Future:

@@ -1,13 +1,12 @@
-"""Learning by trying: proximal policy optimisation (Schulman 2017) of a policy of modes, on the world as it is.
+"""Actor-critic: proximal policy optimisation (PPO, Schulman 2017) of a pointer policy on full noisy episodes.
 
-The gradient through a soft view leads uphill from where a policy is; it cannot say that another target would have been
-the better one to go to, and it is not that of the real view. Here the policy tries its modes in whole batched episodes
-with truth, noise and the real filter, and a critic, thrown away afterwards, says how well a try turned out. Episodes
-are short, so that all of each is played, and no value is guessed beyond its end.
+The gradient through a soft view leads uphill from the current policy; it cannot tell that another target would have
+been the better choice, and it is not that of the real view. Here the policy samples its modes in batches of episodes
+with truth, noise and the real filter, and a critic, discarded after training, estimates the return. Episodes are short,
+so each is simulated to its end, and no value is bootstrapped beyond it.
 """
 
 import math
-from collections.abc import Hashable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,11 +18,10 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, Objective
 from foveate.geometry.linalg import log_det_spd
-from foveate.learning.learner import EpochReport, Learner
-from foveate.learning.objective import step_scores
+from foveate.learning.learner import EpochReport, Learner, step_scores
 from foveate.models.problem import Problem
 from foveate.policies.inputs import pointer_feature_count
-from foveate.policies.layers import Layers, fresh_layers
+from foveate.policies.layers import Layers, apply_relu, fresh_layers
 from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
@@ -33,25 +31,23 @@ from foveate.simulation.step import start
 from foveate.types import Action, Key, Scalar
 
 CRITIC_WIDTH, CRITIC_QUERIES, CRITIC_LENGTH_M = 64, 4, 5.0
-"""Of the network that values states: it is no part of what is kept."""
+"""Size of the critic's network, and its unit of length [m]."""
 
 
 class Critic(eqx.Module):
-    """What is still to be earned in the mean, from a state as the policy sees it."""
+    """Value network: the expected return of the steps left, from an observation."""
 
     encoder: SetEncoder
     value_layers: Layers
 
     def __call__(self, observation: Observation) -> Scalar:
-        """The value of a state [nat per target, or share of time]."""
-        hidden = self.encoder(observation)[1]
-        for layer in self.value_layers[:-1]:
-            hidden = jax.nn.relu(layer(hidden))
+        """The value of an observation [nat per target, or share of time]."""
+        hidden = apply_relu(self.value_layers[:-1], self.encoder(observation)[1])
         return self.value_layers[-1](hidden)[0]
 
 
 class Trajectory(NamedTuple):
-    """Every step of an episode: what was seen, tried and earned; `counts` marks those before the horizon."""
+    """Every step of an episode; `counts` marks those before the horizon."""
 
     observation: Observation
     action: Float[Array, "K m"]
@@ -61,54 +57,47 @@ class Trajectory(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Steps of many episodes, to learn from in any order."""
+    """Steps of many episodes, in any order."""
 
     observation: Observation
     action: Float[Array, "rows m"]
     log_density: Float[Array, " rows"]
     advantage: Float[Array, " rows"]
-    earned: Float[Array, " rows"]
+    value_target: Float[Array, " rows"]
     counts: Bool[Array, " rows"]
 
 
 def begin(problem: Problem, policy: Policy, settings: ActorCriticSettings, key: Key) -> Learner:
-    """A learner before its first epoch, with a fresh critic. Raises ValueError for a policy without modes."""
+    """A learner before its first epoch, with a new critic. Raises InputError for a policy without modes."""
     if not isinstance(policy, PointerPolicy):
-        raise InputError(
-            "training.algorithm = 'actor-critic': expected policy.kind = 'pointer', which has modes to try"
-        )
-    width, embedding = CRITIC_WIDTH, CRITIC_QUERIES * CRITIC_WIDTH
-    numbers = pointer_feature_count(problem, "pointer")
-    target, query, value = fresh_layers(
-        ((numbers, width, width, width), (width, CRITIC_QUERIES), (embedding, width, width, 1)), key
-    )
+        raise InputError("training.algorithm = 'actor-critic': expected policy.kind = 'pointer', which has modes")
+    features, width, pooled = pointer_feature_count(problem), CRITIC_WIDTH, CRITIC_QUERIES * CRITIC_WIDTH
+    widths = ((features, width, width, width), (width, CRITIC_QUERIES), (pooled, width, width, 1))
+    target, query, value = fresh_layers(widths, key)
     critic = Critic(SetEncoder(target, query, problem.agent.space, CRITIC_LENGTH_M), value)
     parameters = eqx.filter((policy, critic), eqx.is_inexact_array)
     return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int), critic)
 
 
 def optimizer(settings: ActorCriticSettings) -> optax.GradientTransformation:
-    """Adam on the bounded gradients of (policy, critic), each with its own bound and rate."""
+    """Adam on the clipped gradients of (policy, critic), each with its own clipping and learning rate."""
 
     def adam(rate: float) -> optax.GradientTransformation:
-        falling = optax.cosine_decay_schedule(rate, settings.epochs * settings.updates)
-        return optax.chain(optax.clip_by_global_norm(settings.gradient_bound), optax.adam(falling))
+        schedule = optax.cosine_decay_schedule(rate, settings.epochs * settings.updates)
+        return optax.chain(optax.clip_by_global_norm(settings.gradient_bound), optax.adam(schedule))
 
-    rules: dict[Hashable, optax.GradientTransformation] = {
-        "policy": adam(settings.learning_rate),
-        "critic": adam(settings.critic_learning_rate),
-    }
-    return optax.partition(rules, ("policy", "critic"))
+    rates = {"policy": settings.learning_rate, "critic": settings.critic_learning_rate}
+    return optax.partition({name: adam(rate) for name, rate in rates.items()}, ("policy", "critic"))
 
 
 def log_density(modes: Modes, action: Action, action_std: Scalar) -> Scalar:
-    """log of the mixture's density at an action, up to a constant that `action_std` alone decides."""
-    away = jnp.sum((action - modes.action) ** 2, axis=-1) / (2.0 * action_std**2)
-    return jax.nn.logsumexp(jax.nn.log_softmax(modes.log_weight) - away)
+    """log of the mixture's density at an action, up to a constant that depends on `action_std` only."""
+    exponent = jnp.sum((action - modes.action) ** 2, axis=-1) / (2.0 * action_std**2)
+    return jax.nn.logsumexp(jax.nn.log_softmax(modes.log_weight) - exponent)
 
 
 def entropy(modes: Modes) -> Scalar:
-    """Of the choice among modes [nat]."""
+    """Entropy of the choice among modes [nat]."""
     log_weight = jax.nn.log_softmax(modes.log_weight)
     return -jnp.sum(jnp.exp(log_weight) * log_weight)
 
@@ -116,13 +105,11 @@ def entropy(modes: Modes) -> Scalar:
 def rewards(
     log_det: Float[Array, "K n"], visible: Bool[Array, "K n"], first: Scalar, episode: Episode, objective: Objective
 ) -> Float[Array, " K"]:
-    """What each step earns; the sum over an episode is its objective (less `first`, the log det that it begins with,
-    where that at the horizon is what counts).
-    """
+    """Rewards whose sum is the episode's objective; with "terminal" less `first`, its initial log det [nat]."""
     scores = step_scores(visible.astype(log_det.dtype) if objective == "seen" else log_det, episode)
     steps = episode.horizon.astype(scores.dtype)
-    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / steps
-    return jnp.where(jnp.arange(len(scores)) < episode.horizon, earned, 0.0)
+    reward = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / steps
+    return jnp.where(jnp.arange(len(scores)) < episode.horizon, reward, 0.0)
 
 
 def sample_trajectory(
@@ -134,38 +121,38 @@ def sample_trajectory(
     action_std: Scalar,
     key: Key,
 ) -> Trajectory:
-    """Play one episode, a mode drawn by its weight and a Gaussian about its action at every step."""
+    """Simulate one episode; each action is sampled from a Gaussian about that of a mode, sampled by its weight."""
 
     def decide(observation, memory, key):
         mode_key, noise_key = jax.random.split(key)
         modes = policy.modes(observation)
         mean = modes.action[jax.random.categorical(mode_key, modes.log_weight)]
         action = mean + action_std * jax.random.normal(noise_key, mean.shape)
-        # The density is that of the action as drawn; the agent clips what it does.
+        # The density is that of the sampled action, before the agent clips it.
         return jnp.clip(action, -1.0, 1.0), memory, (action, log_density(modes, action, action_std))
 
     def record(done: Outcome):
         return done.observation, *done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured
 
     observation, action, density, log_det, visible = simulate(problem, decide, episode, protocol, key, record)
-    first = start(problem, episode, protocol)
-    before = per_target(jnp.mean(log_det_spd(first.information), axis=0), first.present)
-    counts = jnp.arange(len(action)) < episode.horizon
-    return Trajectory(observation, action, density, rewards(log_det, visible, before, episode, objective), counts)
+    initial = start(problem, episode, protocol)
+    first = per_target(jnp.mean(log_det_spd(initial.information), axis=0), initial.present)
+    reward = rewards(log_det, visible, first, episode, objective)
+    return Trajectory(observation, action, density, reward, jnp.arange(len(reward)) < episode.horizon)
 
 
 def advantages(
     reward: Float[Array, " K"], value: Float[Array, " K"], counts: Bool[Array, " K"], gae_lambda: float
 ) -> Float[Array, " K"]:
-    """A_k = delta_k + lambda A_{k+1}, delta_k = r_k + V_{k+1} - V_k, with nothing after the horizon (Schulman 2016)."""
-    later = jnp.append(jnp.where(counts[1:], value[1:], 0.0), 0.0)
+    """A_k = delta_k + lambda A_{k+1}, delta_k = r_k + V_{k+1} - V_k, zero after the horizon (Schulman 2016)."""
+    next_value = jnp.append(jnp.where(counts[1:], value[1:], 0.0), 0.0)
 
-    def back(following, step):
-        delta, count = step
+    def step(following, inputs):
+        delta, count = inputs
         advantage = jnp.where(count, delta + gae_lambda * following, 0.0)
         return advantage, advantage
 
-    return jax.lax.scan(back, jnp.zeros_like(value[0]), (reward + later - value, counts), reverse=True)[1]
+    return jax.lax.scan(step, jnp.zeros_like(value[0]), (reward + next_value - value, counts), reverse=True)[1]
 
 
 def gather(
@@ -176,31 +163,29 @@ def gather(
     action_std: Scalar,
     key: Key,
 ) -> tuple[Samples, Scalar]:
-    """Play a batch of fresh episodes; all their steps in a row, and what the episodes were worth in the mean."""
+    """Simulate a batch of new episodes; return all their steps, and the mean score of the episodes."""
     policy, critic = _networks(learner)
-    share, played = settings.episodes // len(settings.protocols), []
+    share, batches = settings.episodes // len(settings.protocols), []
     for i, name in enumerate(settings.protocols):
-        scene_key, try_key = jax.random.split(jax.random.fold_in(key, i))
+        scene_key, action_key = jax.random.split(jax.random.fold_in(key, i))
 
-        def play(scene_key, try_key, protocol=PROTOCOLS[name]):
+        def sample(scene_key, action_key, protocol=PROTOCOLS[name]):
             episode = training_episode(problem, scenes, scene_key, noise=True)
-            return sample_trajectory(problem, policy, episode, protocol, settings.objective, action_std, try_key)
+            return sample_trajectory(problem, policy, episode, protocol, settings.objective, action_std, action_key)
 
-        played.append(jax.vmap(play)(jax.random.split(scene_key, share), jax.random.split(try_key, share)))
-    every: Trajectory = jax.tree.map(lambda *parts: jnp.concatenate(parts), *played)
-    value = jax.vmap(jax.vmap(critic))(every.observation)
-    advantage = jax.vmap(advantages, (0, 0, 0, None))(every.reward, value, every.counts, settings.gae_lambda)
-    middle, scale = (of(advantage, where=every.counts) for of in (jnp.mean, jnp.std))
-    scaled = (advantage - middle) / (scale + 1e-8)
-    samples = Samples(every.observation, every.action, every.log_density, scaled, advantage + value, every.counts)
-    begins = log_det_spd(problem.prior_information) if settings.objective == "terminal" else 0.0
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples), begins + jnp.mean(
-        jnp.sum(every.reward, axis=-1)
-    )
+        batches.append(jax.vmap(sample)(jax.random.split(scene_key, share), jax.random.split(action_key, share)))
+    batch: Trajectory = jax.tree.map(lambda *parts: jnp.concatenate(parts), *batches)
+    value = jax.vmap(jax.vmap(critic))(batch.observation)
+    advantage = jax.vmap(advantages, (0, 0, 0, None))(batch.reward, value, batch.counts, settings.gae_lambda)
+    mean, std = (of(advantage, where=batch.counts) for of in (jnp.mean, jnp.std))
+    scaled = (advantage - mean) / (std + 1e-8)
+    samples = Samples(batch.observation, batch.action, batch.log_density, scaled, advantage + value, batch.counts)
+    initial = log_det_spd(problem.prior_information) if settings.objective == "terminal" else 0.0
+    score = initial + jnp.mean(jnp.sum(batch.reward, axis=-1))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples), score
 
 
 def _networks(learner: Learner) -> tuple[PointerPolicy, Critic]:
-    """Policy and critic of a learner that `begin` made."""
     assert isinstance(learner.policy, PointerPolicy), "begin rejects others"
     return learner.policy, learner.critic
 
@@ -208,12 +193,12 @@ def _networks(learner: Learner) -> tuple[PointerPolicy, Critic]:
 def loss(
     policy: PointerPolicy, critic: Critic, rows: Samples, action_std: Scalar, settings: ActorCriticSettings
 ) -> Scalar:
-    """The clipped surrogate loss of PPO, the choice's entropy, and the critic's squared error, over rows that count."""
+    """Mean clipped loss of PPO, with the modes' entropy and the critic's squared error, over rows that count."""
     modes = jax.vmap(policy.modes)(rows.observation)
     ratio = jnp.exp(jax.vmap(log_density, (0, 0, None))(modes, rows.action, action_std) - rows.log_density)
     bounded = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
     gain = jnp.minimum(ratio * rows.advantage, bounded * rows.advantage)
-    error = jax.vmap(critic)(rows.observation) - rows.earned
+    error = jax.vmap(critic)(rows.observation) - rows.value_target
     cost = error**2 - gain - settings.entropy_weight * jax.vmap(entropy)(modes)
     return jnp.sum(jnp.where(rows.counts, cost, 0.0)) / jnp.maximum(jnp.sum(rows.counts), 1).astype(cost.dtype)
 
@@ -221,15 +206,14 @@ def loss(
 def epoch(
     problem: Problem, scenes: SceneSettings, settings: ActorCriticSettings, learner: Learner, key: Key
 ) -> tuple[Learner, EpochReport]:
-    """Play a batch and go over it `passes` times; the chance of epoch i comes from (key, i) alone."""
-    play_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
+    """Simulate a batch and learn from it `passes` times; the random numbers of epoch i depend on (key, i) alone."""
+    batch_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     first, last = settings.action_std
     action_std = first + (last - first) * jnp.asarray(learner.epoch, float) / settings.epochs
-    samples, earned = gather(problem, scenes, settings, learner, action_std, play_key)
+    samples, score = gather(problem, scenes, settings, learner, action_std, batch_key)
     parameters, rest = eqx.partition(_networks(learner), eqx.is_inexact_array)
-    # In each pass rows that count come first, in a new order; a minibatch has one size, whatever the batch.
-    steps = math.ceil(settings.episodes * scenes.mean_horizon)
-    size = steps // settings.minibatches
+    # In each pass, rows that count come first, in a new order; a minibatch has one size, whatever the batch.
+    size = math.ceil(settings.episodes * scenes.mean_horizon) // settings.minibatches
 
     def cost(parameters, rows):
         policy, critic = eqx.combine(parameters, rest)
@@ -237,16 +221,16 @@ def epoch(
 
     def update(i, carry):
         parameters, state, largest = carry
-        turn, part = i // settings.minibatches, i % settings.minibatches
-        chance = jax.random.uniform(jax.random.fold_in(order_key, turn), samples.counts.shape)
-        order = jnp.argsort(jnp.where(samples.counts, chance, 2.0))
+        number, part = i // settings.minibatches, i % settings.minibatches
+        rank = jax.random.uniform(jax.random.fold_in(order_key, number), samples.counts.shape)
+        order = jnp.argsort(jnp.where(samples.counts, rank, 2.0))
         rows = jax.tree.map(lambda x: x[jax.lax.dynamic_slice_in_dim(order, part * size, size)], samples)
         gradient = jax.grad(cost)(parameters, rows)
         updates, state = optimizer(settings).update(gradient, state, parameters)
         return eqx.apply_updates(parameters, updates), state, jnp.maximum(largest, optax.tree.norm(gradient[0]))
 
-    begun = (parameters, learner.optimizer, jnp.zeros(()))
-    parameters, state, norm = jax.lax.fori_loop(0, settings.updates, update, begun)
+    initial = (parameters, learner.optimizer, jnp.zeros(()))
+    parameters, state, norm = jax.lax.fori_loop(0, settings.updates, update, initial)
     policy, critic = eqx.combine(parameters, rest)
-    finite = jnp.isfinite(earned) & jnp.isfinite(optax.tree.norm(parameters)) & jnp.isfinite(norm)
-    return Learner(policy, state, learner.epoch + 1, critic), EpochReport(earned, norm, finite)
+    finite = jnp.isfinite(score) & jnp.isfinite(optax.tree.norm(parameters)) & jnp.isfinite(norm)
+    return Learner(policy, state, learner.epoch + 1, critic), EpochReport(score, norm, finite)

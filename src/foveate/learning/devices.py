@@ -1,7 +1,7 @@
 """Run one training on several devices and in several processes.
 
-Every process runs the same program on the same numbers; only a batch of episodes is sharded (`gradient`). So each has
-the whole learner, and the first one saves it.
+Every process runs the same program on the same numbers; only a batch of episodes is sharded (`gradient`). So each
+process has the whole learner, and the first one saves it.
 """
 
 import contextlib
@@ -24,24 +24,21 @@ from foveate.errors import InputError
 
 AXIS = "episodes"
 
-
 HEARTBEAT_S = 20
-"""A process that was silent for this long [s] is lost."""
-
+"""Silence [s] after which a process is lost."""
 
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
-"""A container's limit on Linux: processor time, or max, and the period it is for, both in microseconds."""
-
+"""A container's limit on Linux: processor time, or max, and its period, both in microseconds."""
 
 T = TypeVar("T")
 
 
 class ProcessLost(Exception):
-    """Raised when another process of this training is gone."""
+    """Another process of this training is gone."""
 
 
 class Sharding(NamedTuple):
-    """A batch as `rounds` one after the other, in each of them `size` episodes on each of `devices`."""
+    """A batch as consecutive `rounds`, each of `size` episodes on each of `devices`."""
 
     devices: int
     rounds: int
@@ -49,10 +46,9 @@ class Sharding(NamedTuple):
 
 
 def use_cores() -> None:
-    """On a CPU, make every core a device of its own: the programs of a training are too small to be run by two.
+    """On a CPU, make every core a device: the programs of a training are too small for two cores.
 
-    To be called before JAX does anything; without effect later, or where JAX_NUM_CPU_DEVICES or XLA_FLAGS say how many
-    devices there are.
+    Call it before JAX does anything; it has no effect later, or if JAX_NUM_CPU_DEVICES or XLA_FLAGS set the number.
     """
     configured = jax.config.values["jax_num_cpu_devices"] >= 0
     if not configured and "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
@@ -70,7 +66,7 @@ def cores() -> int:
 def sharded(episodes: int, micro_batch: int) -> Sharding:
     """Shard a batch, at most `micro_batch` episodes at once on a device."""
     devices = jax.device_count()
-    # On the cores of one machine the size of a micro-batch does not depend on their number: sums are the same on any.
+    # On one machine the size of a micro-batch does not depend on the number of cores: sums are the same on any.
     if jax.default_backend() == "cpu" and jax.process_count() == 1:
         parts = math.ceil(episodes / micro_batch)
         devices = min(devices, parts)
@@ -83,13 +79,8 @@ def sharded(episodes: int, micro_batch: int) -> Sharding:
 def join(coordinator: str, processes: int | None, process_id: int | None) -> None:
     """Join a training of several processes, before anything else is done with JAX.
 
-    Args:
-        coordinator: HOST:PORT of the first process, or "auto" to ask the cluster (SLURM, Kubernetes, MPI).
-        processes: Number of processes; None with "auto".
-        process_id: Number of this one, from 0; None with "auto".
-
-    Raises:
-        InputError: The processes cannot find each other.
+    `coordinator` is HOST:PORT of the first process, or "auto" to ask the cluster (SLURM, Kubernetes, MPI), which then
+    knows the number of `processes` and the number of this one, from 0. Raises InputError if they cannot connect.
     """
     # Two devices per process hang on CPUs unless every step is waited for.
     jax.config.update("jax_num_cpu_devices", 1)
@@ -103,21 +94,23 @@ def join(coordinator: str, processes: int | None, process_id: int | None) -> Non
 
 
 def mesh(devices: int) -> Mesh:
-    """A row of `devices`: the first of this machine, or all of all processes."""
+    """One axis of `devices`: the first ones of this machine, or all of all processes."""
     return jax.make_mesh((devices,), (AXIS,), axis_types=(AxisType.Auto,), devices=jax.devices()[:devices])
 
 
 def on_all_devices(program: Callable[..., T], devices: int) -> Callable[..., T]:
-    """Wrap a compiled program: copy its arguments, the same in every process, to all `devices`; return local results.
+    """Wrap a compiled program to run on all `devices`, with the same arguments in every process and local results.
 
-    The program itself for one device. Calls raise ProcessLost where another process is gone.
+    Calls raise ProcessLost if another process is gone.
     """
     if devices == 1:
         return program
 
     def run(*arguments: Any) -> T:
         try:
-            return jax.block_until_ready(_local(program(*_replicated(arguments, mesh(devices)))))
+            results = program(*_replicated(arguments, mesh(devices)))
+            local = jax.tree.map(lambda x: x.addressable_data(0) if eqx.is_array(x) else x, results)
+            return jax.block_until_ready(local)
         except jax.errors.JaxRuntimeError as error:
             if jax.process_count() == 1:
                 raise
@@ -140,12 +133,8 @@ def _replicated(tree: Any, mesh: Mesh) -> Any:
     return jax.tree.map(put, tree)
 
 
-def _local(tree: Any) -> Any:
-    return jax.tree.map(lambda x: x.addressable_data(0) if eqx.is_array(x) else x, tree)
-
-
 def from_first_process(*numbers: float) -> tuple[float, ...]:
-    """The first process's values of numbers that others may have rounded otherwise."""
+    """Values of the first process; the others may have rounded differently."""
     if jax.process_count() == 1:
         return numbers
     # As integers: without x64 JAX would round float64 to float32.
@@ -155,7 +144,7 @@ def from_first_process(*numbers: float) -> tuple[float, ...]:
 
 @contextlib.contextmanager
 def folder_of_this_process(run: Path, resume: bool) -> Iterator[Path]:
-    """The run folder in the first process; in others a temporary one, to resume a copy of it."""
+    """The run folder in the first process; in others a temporary folder, with a copy of the run to resume."""
     if jax.process_index() == 0:
         yield run
         return

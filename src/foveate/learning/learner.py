@@ -1,20 +1,21 @@
-"""State, report and compiled loop of epochs that every JAX learner shares."""
+"""State, report, score and compiled loop of epochs, shared by the learners."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
-from foveate.simulation.records import Policy
+from foveate.simulation.records import Episode, Policy, per_target
 from foveate.types import Count, Key, Scalar
 
 
 class Learner(eqx.Module):
-    """All that one epoch passes on to the next."""
+    """State of a learner between epochs."""
 
     policy: Policy
     optimizer: optax.OptState
@@ -24,7 +25,7 @@ class Learner(eqx.Module):
 
 
 class EpochReport(eqx.Module):
-    """One epoch in numbers: the objective, the gradient's norm before clipping, and whether all were finite."""
+    """Objective of an epoch, norm of its gradient before clipping, and True if all numbers were finite."""
 
     objective: Scalar
     gradient_norm: Scalar
@@ -32,30 +33,39 @@ class EpochReport(eqx.Module):
 
 
 Epoch = Callable[[Learner, Key], tuple[Learner, EpochReport]]
-"""One epoch of a learner."""
 
 
 def run_epochs(epoch: Epoch, count: Count, learner: Learner, key: Key) -> tuple[Learner, EpochReport]:
-    """Run `count` epochs in one compiled loop; report mean objective, largest norm, and whether all were finite.
+    """Run `count` epochs in one compiled loop; report mean objective, largest norm, and True if all were finite.
 
-    An epoch that is not finite changes nothing: the learner stays as it was before it.
+    An epoch with a number that is not finite leaves the learner unchanged.
     """
     arrays, static = eqx.partition(learner, eqx.is_array)
 
     def step(_, carry):
         arrays, total = carry
         after, report = epoch(eqx.combine(arrays, static), key)
-        kept = jax.tree.map(
-            lambda new, old: jnp.where(report.finite, new, old), eqx.filter(after, eqx.is_array), arrays
-        )
-        total = EpochReport(
-            objective=total.objective + report.objective,
-            gradient_norm=jnp.maximum(total.gradient_norm, report.gradient_norm),
-            finite=total.finite & report.finite,
-        )
-        return kept, total
+        new = eqx.filter(after, eqx.is_array)
+        kept = jax.tree.map(lambda new, old: jnp.where(report.finite, new, old), new, arrays)
+        norm = jnp.maximum(total.gradient_norm, report.gradient_norm)
+        return kept, EpochReport(total.objective + report.objective, norm, total.finite & report.finite)
 
-    zero = EpochReport(objective=jnp.zeros(()), gradient_norm=jnp.zeros(()), finite=jnp.array(True))
+    zero = EpochReport(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
     arrays, total = jax.lax.fori_loop(0, count, step, (arrays, zero))
-    mean = EpochReport(objective=total.objective / count, gradient_norm=total.gradient_norm, finite=total.finite)
-    return eqx.combine(arrays, static), mean
+    return eqx.combine(arrays, static), replace(total, objective=total.objective / count)
+
+
+def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:
+    """Mean of the targets' values after every step."""
+    arrivals = episode.arrivals
+    # A target that appears in this step is not measured yet.
+    present = episode.present if arrivals is None else arrivals.present[1:] & arrivals.present[:-1]
+    return per_target(values, jnp.broadcast_to(present, values.shape))
+
+
+def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool) -> Scalar:
+    """Mean of the targets' values after the last step (`terminal`), or over all steps."""
+    score = step_scores(values, episode)
+    if terminal:
+        return score[episode.horizon - 1]
+    return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)

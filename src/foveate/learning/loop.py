@@ -18,33 +18,29 @@ from foveate.learning.learner import EpochReport, Learner, run_epochs
 from foveate.learning.run_files import resume_run, start_run
 from foveate.learning.selection import Progress, decide
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import OnValidation, held_out_episodes, validate
+from foveate.learning.validation import OnValidation, held_out_episodes, no_report, validate
 from foveate.models.problem import Problem
 from foveate.policies.pointer import PointerPolicy
 from foveate.simulation.records import Policy
 from foveate.types import Count, Key
 
 PLANAR_COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version__.startswith("0.10.") else {}
-"""For XLA, in the plane: the program compiles in three quarters of the time and runs no slower (in space it would run
-1.6 times as long). Other versions may not know the option."""
+"""For XLA, in the plane: compilation takes three quarters of the time, and the program runs no slower (in space it
+would take 1.6 times as long). Other versions may not know the option."""
 
 
-@jax.default_matmul_precision("highest")  # accelerators round factors to 10 bits by themselves
+@jax.default_matmul_precision("highest")  # by default accelerators round factors to 10 bits
 def train(
-    experiment: Experiment,
-    out: Path,
-    seed: int = 0,
-    resume: bool = False,
-    on_validation: OnValidation = lambda validation, total: None,
+    experiment: Experiment, out: Path, seed: int = 0, resume: bool = False, on_validation: OnValidation = no_report
 ) -> Outcome:
     """Train a policy into the run folder `out`.
 
-    The same experiment and seed give the same checkpoint, bit for bit, on the same machine, also when the training
-    was interrupted and resumed. Raises InputError where `out` already holds a run (or, resumed, another one).
+    The same experiment and seed give the same checkpoint, bit for bit, on the same machine, also of a training that was
+    interrupted and resumed. Raises InputError if `out` already holds a run (or, resumed, another one).
     """
     problem, training = experiment.scenario.problem(), experiment.training
     if isinstance(training, PPOSettings):
-        raise InputError(f"training.algorithm = {training.algorithm!r}: expected one that learns here")
+        raise InputError(f"training.algorithm = {training.algorithm!r}: expected one of a JAX learner")
     policy_key, scenes_key, training_key, validation_key = jax.random.split(jax.random.key(seed), 4)
     begun = Progress.of(_begin(problem, experiment.policy.policy(problem, policy_key), training, policy_key))
     episodes = held_out_episodes(experiment, problem, scenes_key)
@@ -56,9 +52,8 @@ def train(
         while stop_reason is None and (done := int(progress.learner.epoch)) < training.epochs:
             count, started = min(training.check_every, training.epochs - done), time.perf_counter()
             learner, report = advance(jnp.array(count), progress.learner, training_key)
-            numbers = score_of(learner.policy, episodes, validation_key)
-            # Processes on different machines may round differently, and must all decide alike.
-            score, at_limit = from_first_process(*(float(x) for x in numbers))
+            # Processes on different machines may round differently, but must decide alike.
+            score, at_limit = from_first_process(*map(float, score_of(learner.policy, episodes, validation_key)))
             finite = bool(report.finite) and bool(jnp.isfinite(score))
             decision = decide(progress, learner, score, at_limit, finite, training)
             progress, stop_reason, ended = decision.progress, decision.stop_reason, time.perf_counter()
@@ -76,11 +71,20 @@ def train(
             )
             files.save(progress, validation, events)
             on_validation(validation, training.epochs)
-    return _outcome(progress, stop_reason)
+    return _outcome(progress, stop_reason or "")
+
+
+def _outcome(progress: Progress, stopped: str) -> Outcome:
+    return Outcome(
+        epochs=int(progress.learner.epoch),
+        best_epoch=int(progress.best_epoch),
+        best_score=float(progress.best_score),
+        rollbacks=int(progress.rollbacks),
+        stopped=stopped,
+    )
 
 
 def _begin(problem: Problem, policy: Policy, training: TrainingSettings | ActorCriticSettings, key: Key) -> Learner:
-    """The learner before its first epoch."""
     if isinstance(training, ActorCriticSettings):
         return actor_critic.begin(problem, policy, training, jax.random.fold_in(key, 1))
     if isinstance(policy, PointerPolicy):
@@ -88,27 +92,17 @@ def _begin(problem: Problem, policy: Policy, training: TrainingSettings | ActorC
     return policy_gradient.begin(policy, training)
 
 
-def _outcome(progress: Progress, stop_reason: str | None) -> Outcome:
-    return Outcome(
-        epochs=int(progress.learner.epoch),
-        best_epoch=int(progress.best_epoch),
-        best_score=float(progress.best_score),
-        rollbacks=int(progress.rollbacks),
-        stopped=stop_reason or "",
-    )
-
-
 def advance_of(experiment: Experiment, problem: Problem) -> Callable:
-    """The compiled function of (count, learner, key) that trains for `count` epochs.
+    """Compiled function of (count, learner, key) that trains for `count` epochs.
 
-    Keys and scenes are arguments, not constants, so that all seeds share one compiled program.
+    The key is an argument, not a constant, so that all seeds share one compiled program.
     """
     scenes, training = experiment.scenario.scenes, experiment.training
 
     def epoch(learner: Learner, key: Key) -> tuple[Learner, EpochReport]:
         if isinstance(training, ActorCriticSettings):
             return actor_critic.epoch(problem, scenes, training, learner, key)
-        assert isinstance(training, TrainingSettings), "PPO of Stable-Baselines3 is trained elsewhere"
+        assert isinstance(training, TrainingSettings), "PPO of Stable-Baselines3 has its own loop"
         return policy_gradient.epoch(problem, scenes, training, learner, key)
 
     def epochs(count: Count, learner: Learner, key: Key) -> tuple[Learner, EpochReport]:

@@ -1,31 +1,28 @@
-"""Learn by the paper's policy gradient: ascent on log det through the whole simulated episode (proposition 1).
+"""The paper's policy gradient: ascent on log det through the whole simulated episode (proposition 1).
 
-Reverse mode through one scan, so the cost does not grow with the number of parameters.
+The gradient is in reverse mode through one scan, so its cost does not grow with the number of parameters.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
 
 from foveate.experiment.learners import TrainingSettings
 from foveate.learning.gradient import mean_and_gradient
-from foveate.learning.learner import EpochReport, Learner
-from foveate.learning.objective import episode_score, step_scores
+from foveate.learning.learner import EpochReport, Learner, episode_score, step_scores
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import Episode, Policy
 from foveate.simulation.rollout import log_dets, weights
-from foveate.types import Key
+from foveate.types import Key, Scalar
 
 CPU_BATCH_TARGETS = 256
-"""Default number of targets, with padding, in a micro-batch on a CPU: what the core's own cache holds."""
-
+"""Default number of targets, with padding, in a micro-batch on a CPU: they fit into a core's own cache."""
 
 ACCELERATOR_BATCH_TARGETS = 131072
-"""The same on an accelerator, which needs many to be busy, and has the memory."""
+"""The same on an accelerator, which needs many to be busy and has the memory."""
 
 
 def optimizer(settings: TrainingSettings) -> optax.GradientTransformation:
@@ -43,22 +40,20 @@ def begin(policy: Policy, settings: TrainingSettings) -> Learner:
 
 
 def micro_batch_size(settings: TrainingSettings, scenes: SceneSettings) -> int:
-    """Episodes in a micro-batch: `settings.micro_batch`, or what suits the device."""
+    """Episodes in a micro-batch: `settings.micro_batch`, or a number that suits the device."""
     targets = CPU_BATCH_TARGETS if jax.default_backend() == "cpu" else ACCELERATOR_BATCH_TARGETS
     return settings.micro_batch or max(1, targets // scenes.targets_max)
 
 
-def objective(
-    problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key
-) -> Float[Array, ""]:
-    """Log det [nat per target] or share of time in view of an episode under the soft views, to be differentiated."""
+def objective(problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key) -> Scalar:
+    """Differentiable log det [nat per target], or share of time in view, of an episode under the soft views."""
     values_of, is_terminal = weights if settings.objective == "seen" else log_dets, settings.objective == "terminal"
     values = values_of(problem, policy, episode, settings.protocol, key, settings.back)
     score = episode_score(values, episode, is_terminal)
     if settings.window is None or not is_terminal:
         return score
-    # Windows cut the gradient, so the score at the horizon has a derivative in the last window alone. It is the sum of
-    # what all windows add: the scores at the ends of earlier windows enter with their derivative, and with value zero.
+    # Windows cut the gradient: the score at the horizon has a derivative in the last window only. So the scores at the
+    # ends of earlier windows enter with their derivatives, and with value zero.
     scores, ends = step_scores(values, episode), jnp.arange(1, len(values) + 1)
     earlier = (ends % settings.window == 0) & (ends < episode.horizon)
     return score + jnp.sum(jnp.where(earlier, scores - jax.lax.stop_gradient(scores), 0.0))
@@ -67,7 +62,7 @@ def objective(
 def epoch(
     problem: Problem, scenes: SceneSettings, settings: TrainingSettings, learner: Learner, key: Key
 ) -> tuple[Learner, EpochReport]:
-    """One step of ascent on a fresh batch; the random numbers of epoch i depend on (key, i) alone."""
+    """One step of ascent on a new batch; the random numbers of epoch i depend on (key, i) alone."""
     parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
     episode_key, policy_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     keys = tuple(jax.random.split(k, settings.episodes) for k in (episode_key, policy_key))

@@ -22,8 +22,8 @@ from foveate.simulation.records import Policy
 class RunFiles:
     """Files of one training in its run folder `out`.
 
-    `config_digest` is that of the stored config.toml, which an older version may have written otherwise; None takes
-    the experiment's.
+    `config_digest` is that of the stored config.toml, which an older version may have written differently (None: that
+    of the experiment).
     """
 
     out: Path
@@ -35,7 +35,7 @@ class RunFiles:
         """Save a validated training."""
         if validation.best:
             self.save_best(progress.best.policy, validation)
-        # The last file decides where a resumed training continues: killed before it is there, all is written again.
+        # The last file decides where a resumed training continues; if killed before it, all is written again.
         self.append(validation, events)
         self.save_last(progress, epoch=validation.epoch, elapsed_s=validation.elapsed_s)
 
@@ -47,11 +47,12 @@ class RunFiles:
 
     def append(self, validation: Validation, events: Events) -> None:
         """Append a validation to the metrics and the TensorBoard events."""
-        row = {name: value if _is_json(value) else None for name, value in asdict(validation).items()}
+        facts = asdict(validation)
+        # JSON has no NaN and no infinity.
+        row = {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in facts.items()}
         append_line(self.out / METRICS, json.dumps(row))
         names = ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s")
-        numbers = {name: value for name in names if (value := getattr(validation, name)) is not None}
-        events.add(numbers, validation.epoch)
+        events.add({name: facts[name] for name in names if facts[name] is not None}, validation.epoch)
 
     def save_last(self, progress: Progress, epoch: int, elapsed_s: float) -> None:
         """Save the state that a resumed training continues from."""
@@ -60,7 +61,7 @@ class RunFiles:
 
 
 def stored_run(run: Path) -> tuple[Experiment, int]:
-    """Read the experiment and the seed that a run folder was trained with, to resume it."""
+    """Read experiment and seed of a run folder, to resume its training."""
     if not (run / CONFIG).exists():
         raise InputError(f"{run}: holds no training to resume: begin one, with --out {run}")
     experiment = load_toml(Experiment, run / CONFIG)
@@ -71,24 +72,23 @@ def stored_run(run: Path) -> tuple[Experiment, int]:
 
 
 def start_run(out: Path, experiment: Experiment, seed: int, begun: Progress) -> tuple[RunFiles, Progress, float]:
-    """Make the run folder and save the training before its first epoch; return it with its files and 0 seconds."""
+    """Make the run folder and save the training before its first epoch; return its files, its state and 0 seconds."""
     claim(out, experiment)
     files = RunFiles(out=out, experiment=experiment, seed=seed)
     files.save_last(begun, epoch=0, elapsed_s=0.0)
-    # Last, since it is what makes the folder a run: a training killed before has nothing to resume.
+    # Last, since it makes the folder a run: a training killed before has nothing to resume.
     write_config(out, experiment)
     return files, begun, 0.0
 
 
 def resume_run(out: Path, experiment: Experiment, seed: int, begun: Progress) -> tuple[RunFiles, Progress, float]:
-    """Read a training, in the structure of `begun`; return its state with its files and the seconds it took so far.
+    """Read a training, in the structure of `begun`; return its files, its state and its duration so far [s].
 
-    Lines of the metrics that were written after that state are removed. Raises InputError where the training was begun
-    with another experiment or seed.
+    Lines of the metrics after that state are removed. Raises InputError for another experiment or seed.
     """
     stored, digest = read_toml(Experiment, out / CONFIG)
     if stored != experiment:
-        raise InputError(f"{out}: was begun with another experiment: expected that of its {CONFIG}")
+        raise InputError(f"{out}: is the run of another experiment: expected that of its {CONFIG}")
     progress, facts = load_tree(out / LAST, begun, "training", digest)
     if facts["seed"] != seed:
         raise InputError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
@@ -108,8 +108,3 @@ def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
         if i < len(lines) - 1:
             raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to resume without it") from error
         return float("inf")
-
-
-def _is_json(value: object) -> bool:
-    """JSON has no NaN and no infinity."""
-    return not isinstance(value, float) or math.isfinite(value)

@@ -1,8 +1,8 @@
-"""Proposition 1 of the paper, to be read beside it: the policy gradient by the forward recursion of Omega and Lambda.
+"""Proposition 1 of the paper, in its notation: the policy gradient by the forward recursion of Omega and Lambda.
 
-Training differentiates the same objective in reverse mode, at a cost that does not grow with the number of
-parameters; here every parameter carries its own derivative of the pose and of every information matrix through the
-episode. The two agree to rounding (tests/learning/test_sensitivity.py).
+Training differentiates the same objective in reverse mode, at a cost that does not grow with the number of parameters;
+here every parameter carries its own derivative of the pose and of every information matrix through the episode. The two
+agree to rounding (tests/learning/test_sensitivity.py).
 
     Lambda_k^(i) = dT_k / dtheta^(i)         (4 x 4)
     Omega_k^(j,i) = dY_k^(j) / dtheta^(i)    (n_y x n_y)
@@ -13,7 +13,7 @@ Where the printed form differs, and why:
   p_{k+1}, vech(P_{k+1})] itself moves with theta, so the derivative is the total one,
   du/dtheta = dpi/dtheta + dpi/dT Lambda_k + dpi/dP (dP_{k+1}/dtheta). `total=False` gives the printed, partial one.
 * The paper's first term of Omega needs A^-1. With P' = (A Y^-1 A^T + W)^-1 it is G Omega G^T, G = P' A Y^-1, which
-  is the same where A is invertible and right where it is not.
+  is the same where A is invertible, and correct where it is not.
 * It writes p for the position zeta(p) = Z p, and omits the hat in exp(tau pi(s)).
 * V may turn with the agent and grow with range here, so that H^T V^-1 H has a derivative too; the paper's has none.
 """
@@ -52,16 +52,15 @@ def policy_gradient(
 ) -> tuple[Scalar, Policy]:
     """sum_j log det Y_K^(j) of a noise-free episode in space [nat], and its gradient by the policy's parameters.
 
-    The gradient has the structure of the policy's floating-point arrays. Memory grows as n_p n n_y^2. Raises
-    InputError for a planar problem (lift it: `foveate.simulation.planar_in_space`), an episode with truth or arrivals,
-    and a policy that keeps a memory.
+    The gradient has the structure of the policy's floating-point arrays. Memory grows as n_p n n_y^2. Raises InputError
+    for a planar problem, an episode with truth or arrivals, and a policy with memory.
     """
     if problem.agent.space.dimension != 3:
         raise InputError(
-            "Proposition 1 is stated for SE(3): lift a planar problem first (foveate.simulation.planar_in_space)"
+            "Proposition 1 is stated for SE(3): embed a planar problem (foveate.simulation.planar_in_space)"
         )
     if episode.truth is not None or episode.arrivals is not None:
-        raise InputError("Proposition 1 supposes a noise-free episode: expected neither truth nor arrivals")
+        raise InputError("Proposition 1 assumes a noise-free episode: expected neither truth nor arrivals")
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
     theta, restore = ravel_pytree(parameters)
 
@@ -72,18 +71,13 @@ def policy_gradient(
             raise InputError("Proposition 1 is stated for u = pi(s): expected a policy without memory")
         return problem.agent.twist(policy(observation, memory, jax.random.key(0))[0])
 
-    def step(now: Sensitivity, k: Array) -> tuple[Sensitivity, None]:
-        after = _step(problem.at(k), decide, theta, episode, softness, now, k, total)
-        return jax.tree.map(lambda new, old: jnp.where(k < episode.horizon, new, old), after, now), None
+    def step(before: Sensitivity, k: Array) -> tuple[Sensitivity, None]:
+        after = _step(problem.at(k), decide, theta, episode, softness, before, k, total)
+        return jax.tree.map(lambda new, old: jnp.where(k < episode.horizon, new, old), after, before), None
 
     Y = first_information(problem, episode.mean.shape[0])
-    first = Sensitivity(
-        T=episode.pose,
-        mean=episode.mean,
-        Y=Y,
-        Lambda=jnp.zeros((theta.size, 4, 4), Y.dtype),  # (Lambda_0 = 0, Omega_0 = 0)
-        Omega=jnp.zeros((theta.size, *Y.shape), Y.dtype),
-    )
+    zeros = (jnp.zeros((theta.size, *shape), Y.dtype) for shape in ((4, 4), Y.shape))  # Lambda_0 = 0, Omega_0 = 0
+    first = Sensitivity(episode.pose, episode.mean, Y, *zeros)
     last, _ = jax.lax.scan(step, first, jnp.arange(episode.inputs.shape[0]))
     # Equation (23): dr/dtheta^(i) = sum_j tr((Y_K^(j))^-1 Omega_K^(j,i)); padding has no part in it.
     real = episode.present.astype(Y.dtype)
@@ -98,7 +92,7 @@ def _step(
     theta: Float[Array, " n_p"],
     episode: Episode,
     softness: Softness,
-    now: Sensitivity,
+    before: Sensitivity,
     k: Array,
     total: bool,
 ) -> Sensitivity:
@@ -106,26 +100,26 @@ def _step(
     motion, tau, known_input = problem.motion, problem.tau, episode.inputs[k]
 
     # p_{k+1} = A p_k + B xi_k does not depend on theta. P_{k+1} does: dP = G Omega G^T, G = P_{k+1} A Y_k^-1.
-    mean = motion.advance(now.mean, known_input)
-    P = jax.vmap(predict_information, (0, None))(now.Y, motion)
-    G = P @ motion.A @ inverse_spd(now.Y)
-    dP = jnp.einsum("jab,ijbc,jdc->ijad", G, now.Omega, G)
+    mean = motion.advance(before.mean, known_input)
+    P = jax.vmap(predict_information, (0, None))(before.Y, motion)
+    G = P @ motion.A @ inverse_spd(before.Y)
+    dP = jnp.einsum("jab,ijbc,jdc->ijad", G, before.Omega, G)
 
     # u_k = pi_theta(s_k), and how it moves with theta, T_k and P_{k+1}.
     def control(theta: Array, T: Pose, P: Array) -> Twist:
         return decide(theta, Observation(k, episode.horizon - k, T, mean, P, episode.present, known_input))
 
-    u = control(theta, now.T, P)
-    by_theta, by_T, by_P = jax.jacrev(control, argnums=(0, 1, 2))(theta, now.T, P)
+    u = control(theta, before.T, P)
+    by_theta, by_T, by_P = jax.jacrev(control, argnums=(0, 1, 2))(theta, before.T, P)
     du = by_theta.T
     if total:
-        du = du + jnp.einsum("uab,iab->iu", by_T, now.Lambda) + jnp.einsum("ujab,ijab->iu", by_P, dP)
+        du = du + jnp.einsum("uab,iab->iu", by_T, before.Lambda) + jnp.einsum("ujab,ijab->iu", by_P, dP)
 
     # Equation (27): Lambda' = Lambda exp(tau u^) + T sum_m du^(m)/dtheta^(i) dexp(tau u^)/du^(m).
     exp = lie.exp_se3(tau * u)
     by_u = jax.jacfwd(lambda u: lie.exp_se3(tau * u))(u)
-    T = now.T @ exp
-    Lambda = now.Lambda @ exp + jnp.einsum("ab,bcu,iu->iac", now.T, by_u, du)
+    T = before.T @ exp
+    Lambda = before.Lambda @ exp + jnp.einsum("ab,bcu,iu->iac", before.T, by_u, du)
 
     # Equation (26): the weight and, where V turns or grows with range, what a measurement is worth, both
     # through q = Q T^-1 zeta_, dq = -Q T^-1 dT T^-1 zeta_.

@@ -1,4 +1,4 @@
-"""Write TensorBoard events, each at once: a full disk raises here, not in a thread of the writer's own."""
+"""Write TensorBoard events, each at once: a full disk raises here, not in a thread of the writer."""
 
 import time
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ from tensorboardX.summary import scalar
 
 
 class Events:
-    """Events of one training. A resumed one makes TensorBoard drop earlier events from `purge_step` on."""
+    """Events of one training; for a resumed one, TensorBoard drops the earlier events from `purge_step` on."""
 
     def __init__(self, folder: Path, purge_step: int = 0) -> None:
-        # The writer names its file by the second, and would empty one of that name.
+        # The writer names its file by the second, and would empty a file of the same name.
         self._writer = EventsWriter(str(folder / "events"), f".{len(list(folder.glob('events*'))):04d}")
         if purge_step:
             self._write(Event(step=purge_step, file_version="brain.Event:2"))
@@ -26,7 +26,7 @@ class Events:
         self._writer.close()
 
     def add(self, numbers: Mapping[str, float], step: int) -> None:
-        """Write the numbers of one step, by their names. Raises OSError where the disk is full."""
+        """Write the numbers of one step, by name. Raises OSError if the disk is full."""
         for name, value in numbers.items():
             self._write(Event(step=step, summary=scalar(name, value)))
         self._writer.flush()

@@ -1,8 +1,8 @@
-"""Train an experiment by its own learner, and watch it: progress bar, ctrl-C."""
+"""Train an experiment by its own learner, with a progress bar and orderly interruption."""
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -15,28 +15,22 @@ from foveate.io.files import LOCK, sole_writer
 from foveate.io.progress import Bar
 from foveate.learning import loop
 from foveate.learning.sb3 import ppo
-
-Report = Callable[[Validation, int], None]
-"""Called at every validation, with the total number of epochs, or of PPO steps."""
+from foveate.learning.validation import OnValidation, no_report
 
 
 def train(
-    experiment: Experiment,
-    out: Path,
-    seed: int = 0,
-    resume: bool = False,
-    report: Report = lambda validation, total: None,
+    experiment: Experiment, out: Path, seed: int = 0, resume: bool = False, report: OnValidation = no_report
 ) -> Outcome:
     """Train a policy into the run folder `out` by the experiment's own learner; `report` is called at every validation.
 
-    Raises InputError where `out` already holds a run (or, resumed, another one), or another process trains into it, and
-    where PPO is to be resumed.
+    Raises InputError if `out` already holds a run (or, resumed, another one), if another process trains into it, or to
+    resume PPO.
     """
     by_ppo = isinstance(experiment.training, PPOSettings)
     if resume and by_ppo:
-        raise InputError(f"{out}: PPO cannot go on where it was: train it again")
+        raise InputError(f"{out}: PPO cannot be resumed: train again")
     if resume and not (out / CONFIG).exists():
-        raise InputError(f"{out}: holds no training to go on with: begin one there")
+        raise InputError(f"{out}: holds no training to resume: begin one there")
     if not resume:
         require_free(out, experiment)
         out.mkdir(parents=True, exist_ok=True)
@@ -53,11 +47,11 @@ def train(
 
 
 @contextmanager
-def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[Report]:
-    """A progress bar around a training: gives the `report` for `train`.
+def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[OnValidation]:
+    """A progress bar around a training; yields the `report` for `train`.
 
-    The first ctrl-C ends the training at its next validation, when all is on the disk (PPO keeps nothing to resume,
-    and ends at once); the second one ends it at once.
+    The first ctrl-C ends the training at its next validation, when everything is on the disk, the second one at once.
+    PPO, which cannot be resumed, ends at the first.
     """
     settings = experiment.training
     by_ppo = isinstance(settings, PPOSettings)
@@ -71,7 +65,7 @@ def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[
             bar.update(done, f"held-out {validation.held_out:.2f}  {rate:.0f}/s")
             if validation.event:
                 bar.say(f"epoch {validation.epoch}: {validation.event}")
-            if interrupted.is_set():  # here all of the validation is on the disk
+            if interrupted.is_set():  # the validation is on the disk
                 raise KeyboardInterrupt
 
         yield report
@@ -79,7 +73,7 @@ def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[
 
 @contextmanager
 def _deferred_interrupt(bar: Bar, defers: bool) -> Iterator[threading.Event]:
-    """An event that the first ctrl-C sets, where it `defers`; the second one raises KeyboardInterrupt."""
+    """An event that the first ctrl-C sets if `defers`; the second one raises KeyboardInterrupt."""
     interrupted = threading.Event()
     before = signal.getsignal(signal.SIGINT)
 
@@ -87,9 +81,9 @@ def _deferred_interrupt(bar: Bar, defers: bool) -> Iterator[threading.Event]:
         if interrupted.is_set():
             raise KeyboardInterrupt
         interrupted.set()
-        bar.say("stopping when the check that is under way is saved; ctrl-C once more stops at once")
+        bar.say("stopping when the current validation is saved; press ctrl-C again to stop at once")
 
-    # A caller's own handler is left alone, and only the main thread may set one.
+    # A caller's own handler stays, and only the main thread may set one.
     ours = defers and before is signal.default_int_handler and threading.current_thread() is threading.main_thread()
     if ours:
         signal.signal(signal.SIGINT, handle)

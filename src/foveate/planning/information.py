@@ -1,8 +1,7 @@
 """Score a sequence of actions by the noise-free information recursion along its path, with a hand-written gradient.
 
-The same model as `rollout` (agent, view, sensor, belief) without policy, noise and means: a planner's targets move
-independently of the agent. The gradient is proposition 1 of the paper in reverse mode: one pass, one matrix stored per
-step.
+The model is that of `rollout` (agent, view, sensor, belief) without policy, noise and means. The gradient is
+proposition 1 of the paper in reverse mode: one pass, one matrix stored per step.
 """
 
 import equinox as eqx
@@ -16,13 +15,14 @@ from foveate.models import belief
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness, detection_weight
 from foveate.models.target import LinearGaussian
-from foveate.types import Count, Pose
+from foveate.simulation.records import per_target
+from foveate.types import Count, Pose, Scalar
 
 
 class Future(eqx.Module):
-    """The future that a plan is made for, known or predicted before its first step.
+    """Known or predicted future that a plan is made for.
 
-    `state` holds the targets' states after each step, `information` the predicted P_1 of the first. Only the first
+    `state` holds the targets' states after each step, `information` the P_1 predicted for the first. Only the first
     `horizon` steps count.
     """
 
@@ -33,11 +33,9 @@ class Future(eqx.Module):
     horizon: Count
 
 
-def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Float[Array, ""]:
+def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Scalar:
     """Mean log det Y over the targets at the horizon [nat], in a soft view, or the real one where `level` is None."""
-    log_det = final_log_det(problem, future, action, level)
-    total = jnp.sum(jnp.where(future.present, log_det, 0.0))
-    return total / jnp.maximum(jnp.sum(future.present), 1).astype(total.dtype)
+    return per_target(final_log_det(problem, future, action, level), future.present)
 
 
 def final_log_det(
@@ -45,7 +43,7 @@ def final_log_det(
 ) -> Float[Array, " n"]:
     """log det Y of every target at the horizon [nat]. Raises InputError for a problem with a schedule."""
     if problem.schedule is not None:
-        raise InputError("the scenario has a schedule: plans know steps of one kind only: leave [schedule] out")
+        raise InputError("the scenario has a schedule: planners need steps of one kind: leave [schedule] out")
     agent, sensor = problem.agent, problem.sensor
 
     def move(pose, action):
@@ -73,7 +71,7 @@ def _log_det_after(
     counts: Bool[Array, " K"],
     motion: LinearGaussian,
 ) -> Float[Array, " n"]:
-    """log det Y_K of Y_1 = P_1 + M_1, Y_{k+1} = (A Y_k^-1 A^T + W)^-1 + M_{k+1}; steps that do not count are left out.
+    """log det Y_K of Y_1 = P_1 + M_1, Y_{k+1} = (A Y_k^-1 A^T + W)^-1 + M_{k+1}; steps that do not count are skipped.
 
     Differentiable in `added`, the M_k, only. With G_k = P_{k+1} A Y_k^-1, dP_{k+1} = G_k dY_k G_k^T, and so the
     derivative by M_k is L_k, L_K = Y_K^-1, L_k = G_k^T L_{k+1} G_k.

@@ -1,6 +1,6 @@
-"""Planning in receding horizon: at every step a new plan, on the belief of that step; its first action is done.
+"""Receding-horizon planning: at every step, plan on the current belief and take the first action.
 
-The agent knows the inputs up to now and takes their mean so far, each target's own, for all later ones.
+Each target's later inputs are predicted as the mean of its inputs so far.
 """
 
 from typing import Any
@@ -20,12 +20,12 @@ from foveate.simulation.rollout import following, simulate
 from foveate.simulation.step import act
 from foveate.types import Action, Count, Key
 
-SURE = 0.99
-"""How near to the limits of the controls the actions of a policy are taken: at them tanh has no gradient."""
+MAX_ACTION = 0.99
+"""Largest size of a policy's action that an ascent starts from: at the limits, +-1, tanh has no gradient."""
 
 
-class Given(Policy):
-    """Does what it was told, whatever it sees."""
+class FixedActions(Policy):
+    """Takes a fixed sequence of actions, whatever it observes."""
 
     action: Float[Array, "K m"]
 
@@ -35,16 +35,16 @@ class Given(Policy):
 
 
 class OpenLoop(Policy):
-    """Plans once, at the start, for all `steps` of the episode; its tours are the same in every episode."""
+    """Plans all `steps` of the episode at its start; the random numbers of its tours are the same in every episode."""
 
     problem: Problem
     settings: PlanSettings = eqx.field(static=True)
     steps: int = eqx.field(static=True)
 
     def start(self, observation: Observation) -> Float[Array, "K m"]:
-        """The actions of the plan: all later inputs are taken to be like the first."""
-        horizon = jnp.array(self.steps)
-        future = believed_future(self.problem, observation, observation.known_input, self.steps, horizon)
+        """The actions of the plan; all later inputs are predicted to equal the first."""
+        known_input, steps = observation.known_input, self.steps
+        future = believed_future(self.problem, observation, known_input, steps, jnp.array(steps))
         return plan(self.problem, future, self.settings, jax.random.key(0)).action
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
@@ -53,7 +53,7 @@ class OpenLoop(Policy):
 
 
 class Memory(eqx.Module):
-    """What is kept between decisions: the last plan moved on by a step, the sum of the inputs, the policy's memory."""
+    """Memory of a planner: the last plan without its first step, the sum of the inputs, the policy's memory."""
 
     raw: Float[Array, "K m"]
     total_input: Float[Array, "n m_y"]
@@ -61,9 +61,9 @@ class Memory(eqx.Module):
 
 
 class Receding(Policy):
-    """Plans anew at every step, from its last plan; with a policy, also from what that would do.
+    """Plans again at every step, from its last plan and, with a policy, also from that policy's predicted actions.
 
-    A plan goes to the end of the episode, which it is told has `horizon` steps, or over the next `window` steps.
+    A plan covers the next `window` steps, at most to the end of the episode, which has `horizon` steps.
     """
 
     problem: Problem
@@ -73,80 +73,50 @@ class Receding(Policy):
     policy: Policy | None = None
 
     def start(self, observation: Observation) -> Memory:
-        """Straight ahead, nothing known yet."""
-        return Memory(
-            raw=straight_ahead(self.problem, self.window),
-            total_input=jnp.zeros_like(observation.known_input),
-            policy=None if self.policy is None else self.policy.start(observation),
-        )
+        """A plan straight ahead, and no inputs yet."""
+        memory = None if self.policy is None else self.policy.start(observation)
+        return Memory(straight_ahead(self.problem, self.window), jnp.zeros_like(observation.known_input), memory)
 
     def __call__(self, observation: Observation, memory: Memory, key: Key) -> tuple[Action, Memory]:
-        """The first action of the best plan for the believed future."""
+        """The first action of the best plan for the predicted future."""
         plan_key, policy_key = jax.random.split(key)
         total = memory.total_input + observation.known_input
-        later_input = total / jnp.asarray(observation.step + 1, total.dtype)
+        mean_input = total / jnp.asarray(observation.step + 1, total.dtype)
         left = jnp.maximum(self.horizon - observation.step, 1)
-        future = believed_future(self.problem, observation, later_input, self.window, left)
-        given, inner = memory.raw[None], memory.policy
+        future = believed_future(self.problem, observation, mean_input, self.window, left)
+        starts, inner = memory.raw[None], memory.policy
         if self.policy is not None:
-            level = Softness(*self.settings.last)
-            action, inner = foreseen_actions(
-                self.problem, self.policy, observation, inner, later_input, self.window, level, policy_key
-            )
-            raw = jnp.arctanh(jnp.clip(action, -SURE, SURE))
-            given = jnp.concatenate([raw[None], given])
-        best = plan(self.problem, future, self.settings, plan_key, given)
-        moved_on = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
-        return best.action[0], Memory(moved_on, total, inner)
+            action, inner = self._policy_actions(self.policy, observation, inner, mean_input, policy_key)
+            raw = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
+            starts = jnp.concatenate([raw[None], starts])
+        best = plan(self.problem, future, self.settings, plan_key, starts)
+        shifted = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
+        return best.action[0], Memory(shifted, total, inner)
+
+    def _policy_actions(
+        self, policy: Policy, observation: Observation, memory: Any, mean_input: Float[Array, "n m_y"], key: Key
+    ) -> tuple[Float[Array, "window m"], Any]:
+        """The policy's actions in its predicted future, in a soft view; its memory after the first one."""
+        protocol = Protocol(levels=(Softness(*self.settings.last),))
+        belief = (observation.mean, observation.information[None], observation.present)
+        predicted = State(observation.step, observation.pose, *belief)
+        action, memory = policy(observation, memory, jax.random.fold_in(key, observation.step))
+        after = act(self.problem, protocol, predicted, Instant(observation.known_input, None, None), action).state
+        inputs = jnp.broadcast_to(mean_input, (self.window - 1, *mean_input.shape))
+        future = Episode(after.pose, after.mean, after.present, inputs, horizon=observation.step + observation.left)
+        rest = (future, protocol, key, lambda done: done.action)
+        later = simulate(self.problem, following(policy), *rest, memory=memory, state=after)
+        return jnp.concatenate([action[None], later]), memory
 
 
 def believed_future(
-    problem: Problem, observation: Observation, later_input: Float[Array, "n m_y"], window: int, horizon: Count
+    problem: Problem, observation: Observation, mean_input: Float[Array, "n m_y"], window: int, horizon: Count
 ) -> Future:
-    """Where the targets will be if they move as expected with `later_input` at every later step."""
+    """Predicted future of targets that move without noise, with `mean_input` at every later step."""
 
     def advance(state, _):
-        return problem.motion.advance(state, later_input), state
+        return problem.motion.advance(state, mean_input), state
 
-    return Future(
-        pose=observation.pose,
-        state=jax.lax.scan(advance, observation.mean, None, window)[1],
-        information=observation.information,
-        present=observation.present,
-        horizon=jnp.minimum(horizon, window),
-    )
-
-
-def foreseen_actions(
-    problem: Problem,
-    policy: Policy,
-    observation: Observation,
-    memory: Any,
-    later_input: Float[Array, "n m_y"],
-    window: int,
-    level: Softness,
-    key: Key,
-) -> tuple[Float[Array, "window m"], Any]:
-    """What a policy would do in its believed future under a soft view, and its memory after the first decision."""
-    protocol = Protocol(levels=(level,))
-    predicted = State(
-        step=observation.step,
-        pose=observation.pose,
-        mean=observation.mean,
-        information=observation.information[None],
-        present=observation.present,
-    )
-    action, memory = policy(observation, memory, jax.random.fold_in(key, observation.step))
-    instant = Instant(observation.known_input)
-    after = act(problem, protocol, predicted, instant, action).state
-    future = Episode(
-        pose=after.pose,
-        mean=after.mean,
-        present=after.present,
-        inputs=jnp.broadcast_to(later_input, (window - 1, *later_input.shape)),
-        horizon=observation.step + observation.left,
-    )
-    later = simulate(
-        problem, following(policy), future, protocol, key, lambda done: done.action, memory=memory, state=after
-    )
-    return jnp.concatenate([action[None], later]), memory
+    states = jax.lax.scan(advance, observation.mean, None, window)[1]
+    steps = jnp.minimum(horizon, window)
+    return Future(observation.pose, states, observation.information, observation.present, steps)

@@ -1,8 +1,8 @@
 """Plan by Iterative Covariance Regulation (Koga, Asgharivaskasi, Atanasov, IROS 2021): ascent on a control sequence.
 
-From the publication: the soft field of view, the gradient through the whole sequence, one start. Control limits, step
-size, iterations and window are ours: raw actions pass through tanh, and Adam takes the steps. Beyond the publication:
-many starts, most of them tours of the targets, and a view that hardens during the ascent.
+The soft field of view and the gradient through the whole sequence are those of the publication. Control limits (by
+tanh of raw actions), step size (by Adam), iterations and window are ours. Beyond the publication: many starts, most of
+them tours of the targets, and a view that hardens during the ascent.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from foveate.planning.tours import straight_ahead, tours
 from foveate.types import Key, Scalar
 
 CHECK_EVERY = 10
-"""Steps of ascent between two evaluations of the score by which the best is kept."""
+"""Steps of ascent between two evaluations of the score that selects the best sequence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class PlanSettings:
     """Settings of a planner: Adam from `starts` sequences, with clipped gradient and cosine decay.
 
     The level (offset, kappa [m]) of the soft view moves linearly from `first` to `last` over the first `annealed`
-    share of the iterations. The best is kept by its score at the level `keep`, or in the real view (None).
+    share of the iterations. The score at the level `keep`, or in the real view (None), selects the best.
     """
 
     starts: int = 64
@@ -53,40 +53,27 @@ class PlanSettings:
 
 PAPER = (PAPER_SOFTNESS.offset, PAPER_SOFTNESS.kappa)
 
-
 PUBLISHED = PlanSettings(starts=1, iterations=100, learning_rate=0.1, first=PAPER, last=PAPER, keep=PAPER)
 """One start and one level of the view, as in the publication; step size and iterations are ours."""
 
+OMNISCIENT = {"surrogate": PlanSettings(first=(4.0, 0.8), last=PAPER, keep=PAPER), "true": PlanSettings()}
+"""The best known settings for each protocol's score where all inputs are known."""
 
-OMNISCIENT = {
-    "surrogate": PlanSettings(first=(4.0, 0.8), last=PAPER, keep=PAPER),
-    "true": PlanSettings(),
-}
-"""The best settings known for each protocol's score, with all inputs known."""
-
-
+_ONLINE = PlanSettings(starts=1, iterations=30, learning_rate=0.1, last=PAPER, keep=PAPER)
 ONLINE = {
-    "surrogate": PlanSettings(starts=1, iterations=30, learning_rate=0.1, last=PAPER, keep=PAPER),
-    "true": PlanSettings(
-        starts=1, iterations=30, learning_rate=0.03, first=(1.0, 0.4), last=(0.0, 0.25), keep=(0.0, 0.25)
-    ),
+    "surrogate": _ONLINE,
+    "true": replace(_ONLINE, learning_rate=0.03, first=(1.0, 0.4), last=(0.0, 0.25), keep=(0.0, 0.25)),
 }
-"""For a plan at every step: few iterations from the last plan. Where targets will be is uncertain, and so the soft view
+"""For a plan at every step: few iterations from the last plan. The targets' future is uncertain, and so the soft view
 scores a plan better than the real one, whose edge the errors cross."""
 
 
-REFINING = {
-    "surrogate": PlanSettings(starts=8, iterations=15, learning_rate=0.06, last=PAPER, keep=PAPER),
-    "true": PlanSettings(
-        starts=8, iterations=15, learning_rate=0.06, first=(1.0, 0.4), last=(0.0, 0.15), keep=(0.0, 0.15)
-    ),
-}
-"""For refining a policy at every step: from the actions it would take, from the last plan, and from a few tours."""
-
-
 def refining(protocol: str, steps: int) -> PlanSettings:
-    """Settings to refine a policy's actions in `steps` iterations."""
-    return replace(REFINING[protocol], iterations=steps)
+    """Settings to refine a policy in `steps` iterations: from its actions, from the last plan, and from a few tours."""
+    settings = PlanSettings(starts=8, iterations=steps, learning_rate=0.06, last=PAPER, keep=PAPER)
+    if protocol == "surrogate":
+        return settings
+    return replace(settings, first=(1.0, 0.4), last=(0.0, 0.15), keep=(0.0, 0.15))
 
 
 class Plan(eqx.Module):
@@ -102,7 +89,7 @@ class Plan(eqx.Module):
 
 
 def ascend(problem: Problem, future: Future, raw: Float[Array, "K m"], settings: PlanSettings) -> Plan:
-    """Ascend from one start, and return the best sequence on the way; a gradient that is not finite ends the ascent."""
+    """Ascend from one start and return the best sequence on the way; a gradient that is not finite ends the ascent."""
     rate = optax.cosine_decay_schedule(settings.learning_rate, max(1, settings.iterations))
     optimizer = optax.chain(optax.clip_by_global_norm(settings.gradient_bound), optax.adam(rate))
     keep = None if settings.keep is None else Softness(*settings.keep)
@@ -121,14 +108,14 @@ def ascend(problem: Problem, future: Future, raw: Float[Array, "K m"], settings:
         raw, state = jax.lax.fori_loop(i * CHECK_EVERY, stop, step, (raw, state))
         return raw, state, better(best, Plan(raw, value(raw, keep)))
 
-    # The kept score is another forward pass, and changes little in a step: only every CHECK_EVERY. The start competes,
-    # too, since ascent on the soft score may lower the kept one.
+    # The selecting score costs another forward pass and changes little in a step: only every CHECK_EVERY. The start
+    # competes too, since ascent on the soft score may lower the selecting one.
     blocks = -(-settings.iterations // CHECK_EVERY)
     return jax.lax.fori_loop(0, blocks, block, (raw, optimizer.init(raw), Plan(raw, value(raw, keep))))[2]
 
 
 def better(a: Plan, b: Plan) -> Plan:
-    """The plan of the higher score; `a` where they are equal, or that of `b` is not a number."""
+    """The plan with the higher score; `a` where they are equal or the score of `b` is NaN."""
     return jax.tree.map(lambda x, y: jnp.where(b.score > a.score, y, x), a, b)
 
 
@@ -141,15 +128,10 @@ def level_at(settings: PlanSettings, iteration: Array) -> Softness:
 
 
 def plan(
-    problem: Problem,
-    future: Future,
-    settings: PlanSettings,
-    key: Key,
-    given: Float[Array, "g K m"] | None = None,
+    problem: Problem, future: Future, settings: PlanSettings, key: Key, starts: Float[Array, "s K m"] | None = None
 ) -> Plan:
-    """Return the best plan from all starts: those `given`, else one straight ahead, and tours for the rest."""
-    steps = len(future.state)
-    first = straight_ahead(problem, steps)[None] if given is None else given[: settings.starts]
+    """Best plan from all starts: these `starts` (None: one straight ahead), and tours for the rest."""
+    first = straight_ahead(problem, len(future.state))[None] if starts is None else starts[: settings.starts]
     rest = tours(problem, future, settings.starts - len(first), key)
     plans = jax.vmap(lambda raw: ascend(problem, future, raw, settings))(jnp.concatenate([first, rest]))
     # argmax takes a NaN for the largest.

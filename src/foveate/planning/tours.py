@@ -1,6 +1,6 @@
 """Starts of a planner's ascent: straight ahead, as in the publication, and tours from target to target.
 
-Random controls rarely pass near more than one target, and a soft view has no gradient at what is far away.
+Random controls rarely pass near more than one target, and a soft view has no gradient at distant targets.
 """
 
 import jax
@@ -15,23 +15,20 @@ from foveate.policies.heuristics import twist_towards
 from foveate.types import Key, Scalar
 
 MAX_ACTION = 0.9
-"""Largest action of a tour: at the limits, +-1, tanh has no gradient."""
-
+"""Largest size of an action that an ascent starts from: at the limits, +-1, tanh has no gradient."""
 
 MAX_DWELL = 3
-"""Largest number of looks that a tour spends on a target before it turns to the next."""
-
+"""Most looks of a tour at a target before it turns to the next."""
 
 PREFERENCE_STD = 0.7
-"""Standard deviation of the log factors by which each tour rescales its distances to the targets."""
-
+"""Std of the log factors by which each tour rescales its distances to the targets."""
 
 RAW_ACTION_STD = 0.2
-"""Standard deviation of the noise on a tour's raw actions."""
+"""Std of the noise on a tour's raw actions."""
 
 
 def straight_ahead(problem: Problem, steps: int) -> Float[Array, "K m"]:
-    """Raw actions in the middle of every control's range: for a vehicle half speed, no turn."""
+    """Raw actions in the middle of every control's range: half speed and no turn for a vehicle."""
     return jnp.zeros((steps, len(problem.agent.axes)))
 
 
@@ -45,7 +42,7 @@ def best_range(view: FieldOfView) -> Scalar:
 
 
 def tours(problem: Problem, future: Future, count: int, key: Key) -> Float[Array, "count K m"]:
-    """Raw actions that steer to the target least looked at, the nearest of equals by the tour's rescaled distances."""
+    """Raw actions that steer to the least observed target, the nearest of equals by the tour's rescaled distances."""
     standoff_m = best_range(problem.sensor.view)
     return jax.vmap(lambda k: _tour(problem, future, standoff_m, k))(jax.random.split(key, count))
 

@@ -1,4 +1,4 @@
-"""Attention policy, the paper's network: the agent's embedding attends to those of the targets (paper, section 3.2)."""
+"""Attention policy, the paper's network: the agent's embedding attends to those of the targets (section 3.2)."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -7,12 +7,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
-from foveate.policies.inputs import Frame, Scale, policy_inputs
-from foveate.policies.layers import fresh_layers, masked_softmax
+from foveate.policies.inputs import Frame, Scale, policy_inputs, require_position_first
+from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
@@ -43,35 +42,30 @@ class AttentionSettings:
         for name in ("agent_widths", "target_widths", "out_widths"):
             widths = getattr(self, name)
             require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
-        embedding = self.agent_widths[-1]
-        right = f"expected to end in {embedding} as agent_widths does"
-        require(self.target_widths[-1] == embedding, "target_widths", self.target_widths, right)
+        right = f"expected to end in {self.agent_widths[-1]} as agent_widths does"
+        require(self.target_widths[-1] == self.agent_widths[-1], "target_widths", self.target_widths, right)
         positive(self, "alpha", "length_m")
 
     def policy(self, problem: Problem, key: Key) -> "AttentionPolicy":
         """A network with random weights, sized for the problem's space, targets and actuated axes."""
-        d, n_y = problem.agent.space.dimension, problem.motion.state_size
-        if self.frame == "body" and not problem.motion.begins_with_position:
-            raise InputError(
-                f"frame = 'body': expected targets whose state begins with the position, Z = [I 0] ({d} x {n_y})"
-            )
-        embedding = self.agent_widths[-1]
+        if self.frame == "body":
+            require_position_first(problem, "frame", "body")
+        space, n_y = problem.agent.space, problem.motion.state_size
         widths = (
-            (problem.agent.space.twist_size, *self.agent_widths),
+            (space.twist_size, *self.agent_widths),
             (n_y + n_y * (n_y + 1) // 2, *self.target_widths),
-            (2 * embedding, *self.out_widths, len(problem.agent.axes)),
+            (2 * self.agent_widths[-1], *self.out_widths, len(problem.agent.axes)),
         )
         agent, target, out = fresh_layers(widths, key)
-        plain = (problem.agent.space, self.frame, self.alpha, self.length_m, self.information)
-        return AttentionPolicy(agent, target, out, *plain)
+        return AttentionPolicy(agent, target, out, space, self.frame, self.alpha, self.length_m, self.information)
 
 
 class AttentionPolicy(Policy):
-    """u = pi_theta(s): AP_FC on the pose, LI_FC on each target, attention of one on the other, Out_FC."""
+    """u = pi_theta(s): AP_FC on the pose, LI_FC on each target, attention of the pose to the targets, Out_FC."""
 
-    agent_layers: tuple[eqx.nn.Linear, ...]
-    target_layers: tuple[eqx.nn.Linear, ...]
-    out_layers: tuple[eqx.nn.Linear, ...]
+    agent_layers: Layers
+    target_layers: Layers
+    out_layers: Layers
     space: Space = eqx.field(static=True)
     frame: Frame = eqx.field(static=True)
     alpha: float = eqx.field(static=True)
@@ -80,14 +74,8 @@ class AttentionPolicy(Policy):
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: tanh of the last layer."""
-        del key
         pose, targets = policy_inputs(observation, self.space, self.frame, self.length_m, self.information)
-        for layer in self.agent_layers:
-            pose = jax.nn.relu(layer(pose))
-        for layer in self.target_layers:
-            targets = jax.nn.relu(jax.vmap(layer)(targets))
+        pose, targets = apply_relu(self.agent_layers, pose), apply_relu(self.target_layers, targets)
         weights = masked_softmax(targets @ pose / self.alpha, observation.present)
         hidden = jnp.concatenate([jax.nn.relu(weights @ targets), pose])
-        for layer in self.out_layers[:-1]:
-            hidden = jax.nn.relu(layer(hidden))
-        return jnp.tanh(self.out_layers[-1](hidden)), memory
+        return jnp.tanh(self.out_layers[-1](apply_relu(self.out_layers[:-1], hidden))), memory

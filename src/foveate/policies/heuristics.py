@@ -1,7 +1,6 @@
 """Heuristic policies: baselines for learned ones."""
 
 import abc
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -17,11 +16,11 @@ from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point, Scalar
 
 LANES = 6
-"""Lanes of the lawnmower; an even number, so that the sweep ends where it can begin again."""
+"""Lanes of the lawnmower: an even number, so that the sweep ends where it can begin again."""
 
 
 class Random(Policy):
-    """Takes a random action every step, uniform within the limits."""
+    """Takes a random action at every step, uniform within the limits."""
 
     problem: Problem
 
@@ -41,7 +40,7 @@ class Still(Policy):
 
 
 class Steering(Policy):
-    """Turns to a goal and drives until it is `standoff_m` [m] before it; subclasses choose the goal."""
+    """Turns to a goal and stops `standoff_m` [m] before it; subclasses choose the goal."""
 
     problem: Problem
     standoff_m: float = eqx.field(static=True)
@@ -51,18 +50,17 @@ class Steering(Policy):
         """Position of the goal in the world [m], whether one exists, and the memory for the next step."""
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
-        """Steer to the goal, or stop where there is none."""
+        """Steer to the goal; stop if none exists."""
         goal_world, exists, memory = self.goal(observation, memory)
         agent = self.problem.agent
         goal_body = agent.space.to_body(observation.pose, goal_world)
-        tau = self.problem.at(observation.step).tau
-        steer = agent.action(twist_towards(goal_body, self.standoff_m, tau)[jnp.array(agent.axes)])
-        stop = agent.action(jnp.zeros_like(agent.lower))
-        return jnp.where(exists, steer, stop), memory
+        twist = twist_towards(goal_body, self.standoff_m, self.problem.at(observation.step).tau)
+        steer = agent.action(twist[jnp.array(agent.axes)])
+        return jnp.where(exists, steer, agent.action(jnp.zeros_like(agent.lower))), memory
 
 
-def twist_towards(point_body: Point, standoff_m: float | Scalar, tau: Float[Array, ""]) -> Float[Array, " n_u"]:
-    """The twist that would face a body-frame point [m], and end `standoff_m` before it, after one period `tau` [s]."""
+def twist_towards(point_body: Point, standoff_m: float | Scalar, tau: Scalar) -> Float[Array, " n_u"]:
+    """Twist that faces a body-frame point [m], and ends `standoff_m` [m] before it, after one period `tau` [s]."""
     range_m = jnp.hypot(point_body[0], point_body[1])
     bearing = jnp.arctan2(point_body[1], point_body[0])
     # Heading first: a vehicle that cannot move sideways would drive past its goal while it still turns.
@@ -86,45 +84,44 @@ class Nearest(Steering):
 
 
 class Uncertain(Steering):
-    """Follows the target of the smallest log det of the predicted information."""
+    """Follows the target with the smallest log det of its predicted information."""
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
-        """The predicted mean with the least information; the nearer of equals."""
+        """The predicted mean with the least information; the nearest of equals."""
         position = self.problem.motion.position(observation.mean)
         distance_m = jnp.linalg.norm(position - self.problem.agent.space.position(observation.pose), axis=-1)
-        # Targets that were never seen have equal beliefs: a millinat per metre decides among them, and no others.
-        merit = log_det_spd(observation.information) + 1e-3 * distance_m
-        choice = jnp.argmin(jnp.where(observation.present, merit, jnp.inf))
+        # Targets that were never seen have equal beliefs: a millinat per metre decides among them only.
+        cost = log_det_spd(observation.information) + 1e-3 * distance_m
+        choice = jnp.argmin(jnp.where(observation.present, cost, jnp.inf))
         return position[choice], observation.present.any(), memory
 
 
 class Lawnmower(Steering):
     """Sweeps a box in parallel lanes, repeatedly: `box_world` (low and high corner [m]), or that of the first beliefs.
 
-    Its memory is the lanes' corners and the index of the next one.
+    Its memory is the lanes' corners and the index of the next corner.
     """
 
     box_world: Float[Array, "2 d"] | None = None
 
     def start(self, observation: Observation) -> Any:
         """The corners of the lanes, shape (2 LANES, d), and the index of the one nearest the agent."""
-        position = self.problem.motion.position(observation.mean)
-        mask = observation.present[:, None]
-        here = self.problem.agent.space.position(observation.pose)
+        agent_world = self.problem.agent.space.position(observation.pose)
         if self.box_world is None:
+            position, mask = self.problem.motion.position(observation.mean), observation.present[:, None]
             empty = ~observation.present.any()
-            low = jnp.where(empty, here, jnp.min(jnp.where(mask, position, jnp.inf), axis=0))
-            high = jnp.where(empty, here, jnp.max(jnp.where(mask, position, -jnp.inf), axis=0))
+            low = jnp.where(empty, agent_world, jnp.min(position, axis=0, initial=jnp.inf, where=mask))
+            high = jnp.where(empty, agent_world, jnp.max(position, axis=0, initial=-jnp.inf, where=mask))
         else:
             low, high = self.box_world
         across = jnp.repeat((jnp.arange(LANES, dtype=low.dtype) + 0.5) / LANES, 2)
         along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0], low.dtype), LANES // 2)
         middle = jnp.full((2 * LANES, low.shape[0] - 2), 0.5, low.dtype)
         corners = low + (high - low) * jnp.concatenate([along[:, None], across[:, None], middle], axis=1)
-        return corners, jnp.argmin(jnp.linalg.norm(corners - here, axis=-1))
+        return corners, jnp.argmin(jnp.linalg.norm(corners - agent_world, axis=-1))
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
-        """The next corner; the one after it once the agent is within reach of one step."""
+        """The next corner, or the one after it if the agent is within half a step of it."""
         corners, index = memory
         agent = self.problem.agent
         linear = jnp.array([i for i, axis in enumerate(agent.axes) if axis < agent.space.dimension], int)
@@ -135,29 +132,20 @@ class Lawnmower(Steering):
         return corners[index], jnp.array(True), (corners, index)
 
 
-MAKERS: dict[str, Callable[[Problem, float, Float[Array, "2 d"] | None], Policy]] = {
-    "random": lambda problem, depth_m, box_world: Random(problem),
-    "still": lambda problem, depth_m, box_world: Still(problem),
-    # Half the depth keeps a target in the middle of the view, whichever way it moves.
-    "nearest": lambda problem, depth_m, box_world: Nearest(problem, 0.5 * depth_m),
-    "uncertain": lambda problem, depth_m, box_world: Uncertain(problem, 0.5 * depth_m),
-    "lawnmower": lambda problem, depth_m, box_world: Lawnmower(problem, 0.0, box_world),
-}
-"""Heuristics by name: each makes its policy from the problem, the depth of the view [m] and the box to sweep [m]."""
-
-
 def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-    """Resolve a heuristic's name.
+    """Resolve the name of a heuristic; raises InputError for an unknown one.
 
-    Args:
-        name: One of HEURISTICS.
-        problem: The problem that the policy acts in.
-        depth_m: Depth of the view [m]; followers stop at half of it.
-        box_world: Low and high corner [m] of the box that the lawnmower sweeps; None takes that of the first beliefs.
-
-    Raises:
-        InputError: There is no such heuristic.
+    Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
+    box that the lawnmower sweeps; None takes that of the first beliefs.
     """
-    if name not in MAKERS:
+    # Half the depth keeps a target in the middle of the view, whichever way it moves.
+    policies: dict[str, Policy] = {
+        "random": Random(problem),
+        "still": Still(problem),
+        "nearest": Nearest(problem, 0.5 * depth_m),
+        "uncertain": Uncertain(problem, 0.5 * depth_m),
+        "lawnmower": Lawnmower(problem, 0.0, box_world),
+    }
+    if name not in policies:
         raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
-    return MAKERS[name](problem, depth_m, box_world)
+    return policies[name]

@@ -1,4 +1,4 @@
-"""Parts of networks: chains of dense layers with random weights, and a softmax over the entries of a mask."""
+"""Parts of networks: chains of dense layers with random weights, and a masked softmax."""
 
 import itertools
 import math
@@ -18,24 +18,30 @@ def fresh_layers(widths: tuple[tuple[int, ...], ...], key: Key) -> list[Layers]:
 
     All are cut from one array of random numbers: drawing a dozen arrays one by one takes a second of compilation each.
     """
-    sizes = [[(out, into + 1) for into, out in itertools.pairwise(chain)] for chain in widths]
-    total = sum(out * columns for chain in sizes for out, columns in chain)
+    total = sum(out * (into + 1) for chain in widths for into, out in itertools.pairwise(chain))
     numbers, start, chains = jax.random.uniform(key, (total,), minval=-1.0), 0, []
-    for chain in sizes:
+    for chain in widths:
         layers = []
-        for out, columns in chain:
-            block = numbers[start : start + out * columns].reshape(out, columns) / math.sqrt(columns - 1)
-            start += out * columns
-            layer = eqx.filter_eval_shape(eqx.nn.Linear, columns - 1, out, key=key)
+        for into, out in itertools.pairwise(chain):
+            block = numbers[start : start + out * (into + 1)].reshape(out, into + 1) / math.sqrt(into)
+            start += block.size
+            layer = eqx.filter_eval_shape(eqx.nn.Linear, into, out, key=key)
             layers.append(eqx.tree_at(lambda x: (x.weight, x.bias), layer, (block[:, :-1], block[:, -1])))
         chains.append(tuple(layers))
     return chains
 
 
+def apply_relu(layers: Layers, x: Float[Array, "*n width"]) -> Float[Array, "*n out"]:
+    """Apply layers, with a ReLU after each, to a vector or to every row of a matrix."""
+    for layer in layers:
+        x = jax.nn.relu(layer(x) if x.ndim == 1 else jax.vmap(layer)(x))
+    return x
+
+
 def masked_softmax(scores: Float[Array, " n"], mask: Bool[Array, " n"]) -> Float[Array, " n"]:
     """Softmax over the entries where `mask` holds, 0 elsewhere; all 0, with zero derivative, where none does.
 
-    Both branches of `where` are differentiated, so each is made finite first, also for a mask that holds nowhere.
+    Both branches of `where` are differentiated, so each is made finite first.
     """
     largest = jnp.max(scores, initial=-jnp.inf, where=mask)
     shift = jax.lax.stop_gradient(jnp.where(jnp.isfinite(largest), largest, 0.0))

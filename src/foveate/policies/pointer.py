@@ -1,9 +1,8 @@
-"""Pointer policy: a mixture of actions, a few for every target, of which the one of the largest weight is taken.
+"""Pointer policy: proposes a few actions for every target, and takes the one of the largest weight.
 
 A network with a single action answers two equally good targets with the mean of both, which leads to neither. This one
-proposes actions per target and weighs them (Vinyals 2015, "Pointer Networks"; Bishop 1994, "Mixture Density Networks");
-the targets are encoded as a set (Zaheer 2017, Lee 2019). A learner samples among the modes, so that it explores which
-target comes next.
+is a mixture (Vinyals 2015, "Pointer Networks"; Bishop 1994, "Mixture Density Networks") on targets encoded as a set
+(Zaheer 2017, Lee 2019). A learner samples among its modes, and so explores which target comes next.
 """
 
 from dataclasses import dataclass
@@ -18,12 +17,12 @@ from foveate.geometry.space import Space
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import pointer_feature_count, pointer_features
-from foveate.policies.layers import Layers, fresh_layers, masked_softmax
+from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
 PADDING_LOG_WEIGHT = -1e9
-"""Log weight of the modes of padding: probability 0, yet finite, so that derivatives are, too."""
+"""Log weight of the modes of padding: probability 0, but finite, so that derivatives are finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,18 +54,15 @@ class PointerSettings:
 
     def policy(self, problem: Problem, key: Key) -> "PointerPolicy":
         """A network with random weights, sized for the problem's space, targets and actuated axes."""
-        features, axes = pointer_feature_count(problem, self.kind), len(problem.agent.axes)
-        embedding, context = self.target_widths[-1], self.context_widths[-1]
-        target, query, context_layers, mode, idle = fresh_layers(
-            (
-                (features, *self.target_widths),
-                (embedding, self.heads),
-                (self.heads * embedding, *self.context_widths),
-                (embedding + context, *self.mode_widths, self.modes * (1 + axes)),
-                (context, 1 + axes),
-            ),
-            key,
+        axes, embedding, context = len(problem.agent.axes), self.target_widths[-1], self.context_widths[-1]
+        widths = (
+            (pointer_feature_count(problem), *self.target_widths),
+            (embedding, self.heads),
+            (self.heads * embedding, *self.context_widths),
+            (embedding + context, *self.mode_widths, self.modes * (1 + axes)),
+            (context, 1 + axes),
         )
+        target, query, context_layers, mode, idle = fresh_layers(widths, key)
         encoder = SetEncoder(target, query, problem.agent.space, self.length_m)
         return PointerPolicy(encoder, context_layers, mode, idle, self.modes)
 
@@ -80,10 +76,8 @@ class SetEncoder(eqx.Module):
     length_m: float = eqx.field(static=True)
 
     def __call__(self, observation: Observation) -> tuple[Float[Array, "n embedding"], Float[Array, " pooled"]]:
-        """Embeddings of each target, and the pooled embedding of all; the latter zero where none is present."""
-        targets = pointer_features(observation, self.space, self.length_m)
-        for layer in self.target_layers:
-            targets = jax.nn.relu(jax.vmap(layer)(targets))
+        """The embedding of each target, and the pooled one of all, zero where none is present."""
+        targets = apply_relu(self.target_layers, pointer_features(observation, self.space, self.length_m))
         (query,) = self.query_layers
         weights = jax.vmap(masked_softmax, (1, None))(jax.vmap(query)(targets), observation.present)
         return targets, (weights @ targets).ravel()
@@ -108,23 +102,17 @@ class PointerPolicy(Policy):
     def modes(self, observation: Observation) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""
         targets, context = self.encoder(observation)
-        for layer in self.context_layers:
-            context = jax.nn.relu(layer(context))
+        context = apply_relu(self.context_layers, context)
         both = jnp.concatenate([targets, jnp.broadcast_to(context, (len(targets), len(context)))], axis=-1)
-        for layer in self.mode_layers[:-1]:
-            both = jax.nn.relu(jax.vmap(layer)(both))
-        numbers = jax.vmap(self.mode_layers[-1])(both).reshape(len(targets), self.per_target, -1)
+        hidden = apply_relu(self.mode_layers[:-1], both)
+        numbers = jax.vmap(self.mode_layers[-1])(hidden).reshape(len(targets), self.per_target, -1)
         (idle,) = self.idle_layers
         log_weight = jnp.where(observation.present[:, None], numbers[..., 0], PADDING_LOG_WEIGHT)
-        flat = numbers[..., 1:].reshape(log_weight.size, -1)
-        last = idle(context)
-        return Modes(
-            log_weight=jnp.append(log_weight.ravel(), last[0]),
-            action=jnp.tanh(jnp.concatenate([flat, last[None, 1:]])),
-        )
+        raw, last = numbers[..., 1:].reshape(log_weight.size, -1), idle(context)
+        action = jnp.tanh(jnp.concatenate([raw, last[None, 1:]]))
+        return Modes(jnp.append(log_weight.ravel(), last[0]), action)
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: the action of the mode with the largest weight."""
-        del key
         modes = self.modes(observation)
         return modes.action[jnp.argmax(modes.log_weight)], memory

@@ -1,7 +1,7 @@
 """Actor and critic for Stable-Baselines3: the paper's network in PyTorch, and its conversion to JAX.
 
 An observation is one row: the features of the agent, those of each target, one flag per target (1: present, 0:
-padding), and last the share of its steps that an episode has left, which only a critic may read.
+padding), and the share of the episode's steps that is left, which only a critic may read.
 """
 
 # Without the extra `ppo` there is no torch to check against.
@@ -30,10 +30,9 @@ from foveate.types import Scalar
 def flat_inputs(
     problem: Problem, settings: AttentionSettings, observation: Observation, left: Scalar
 ) -> Float[Array, " size"]:
-    """The features of `AttentionPolicy`, padding as zeros, and the share of steps that is `left`."""
-    return masked_features(
-        observation, left, problem.agent.space, settings.frame, settings.length_m, settings.information
-    ).row
+    """Features of `AttentionPolicy`, with padding as zeros, and the share of steps that is `left`."""
+    scales = (settings.frame, settings.length_m, settings.information)
+    return masked_features(observation, left, problem.agent.space, *scales).row
 
 
 class Attention(nn.Module):
@@ -47,10 +46,9 @@ class Attention(nn.Module):
         n_y = problem.motion.state_size
         self.agent_size, self.feature_size = problem.agent.space.twist_size, n_y + n_y * (n_y + 1) // 2
         self.alpha, self.sees_time = settings.alpha, sees_time
-        embedding = settings.agent_widths[-1]
         self.agent_layers = _layers(self.agent_size, *settings.agent_widths)
         self.target_layers = _layers(self.feature_size, *settings.target_widths)
-        self.out_layers = _layers(2 * embedding + sees_time, *settings.out_widths, outputs)
+        self.out_layers = _layers(2 * settings.agent_widths[-1] + sees_time, *settings.out_widths, outputs)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         """Map rows of observations (batch, size) to outputs (batch, outputs)."""
@@ -62,7 +60,7 @@ class Attention(nn.Module):
         for layer in self.target_layers:
             targets = torch.relu(layer(targets))
         scores = (targets @ agent[:, :, None])[:, :, 0] / self.alpha
-        # The least float in place of -inf: a row without any target gives no NaN, and the mask makes it zero.
+        # The least float in place of -inf: a row without targets gives no NaN, and the mask makes it zero.
         weights = mask * torch.softmax(scores.masked_fill(mask == 0, torch.finfo(scores.dtype).min), dim=1)
         context = torch.relu((weights[:, None] @ targets)[:, 0])
         hidden = torch.cat([context, agent, left] if self.sees_time else [context, agent], dim=1)
@@ -90,8 +88,7 @@ class ActorAndCritic(ActorCriticPolicy):
         critic_sees_time: bool,
         **options: Any,
     ) -> None:
-        self._problem, self._settings = problem, settings
-        self._critic_sees_time = critic_sees_time
+        self._problem, self._settings, self._critic_sees_time = problem, settings, critic_sees_time
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
     def _build(self, lr_schedule: Schedule) -> None:
@@ -102,7 +99,7 @@ class ActorAndCritic(ActorCriticPolicy):
         )
         self.action_net, self.value_net = nn.Tanh(), nn.Identity()
         self.log_std = nn.Parameter(torch.full((outputs,), self.log_std_init))
-        # Stable-Baselines3's Adam, fused: one kernel in place of a dozen per weight.
+        # Stable-Baselines3's Adam, but fused: one kernel in place of a dozen per weight.
         self.optimizer = torch.optim.Adam(self.parameters(), lr=lr_schedule(1), fused=True, **self.optimizer_kwargs)
 
     @property
@@ -112,7 +109,7 @@ class ActorAndCritic(ActorCriticPolicy):
 
 
 class _ActorCriticBody(nn.Module):
-    """Takes the place of Stable-Baselines3's feature extractor, with one network for each head."""
+    """Replaces Stable-Baselines3's feature extractor by one network for each head."""
 
     def __init__(self, actor: Attention, critic: Attention) -> None:
         super().__init__()
@@ -130,14 +127,11 @@ class _ActorCriticBody(nn.Module):
 
 def to_jax(actor: Attention, problem: Problem, settings: AttentionSettings) -> AttentionPolicy:
     """Convert the actor to the JAX policy whose action is the actor's mean action."""
+
+    def weights(network: Any) -> list[Any]:
+        layers = [*network.agent_layers, *network.target_layers, *network.out_layers]
+        return [x for layer in layers for x in (layer.weight, layer.bias)]
+
     shape = eqx.filter_eval_shape(lambda key: settings.policy(problem, key), jax.random.key(0))
-    chains = [actor.agent_layers, actor.target_layers, actor.out_layers]
-    names = ("weight", "bias")
     # Copied by jnp.array: numpy views share the memory in which torch continues to train.
-    weights = [layer.get_parameter(name).detach().numpy() for chain in chains for layer in chain for name in names]
-    return eqx.tree_at(_weights, shape, [jnp.array(x, float) for x in weights])
-
-
-def _weights(policy: AttentionPolicy) -> list[Any]:
-    layers = [*policy.agent_layers, *policy.target_layers, *policy.out_layers]
-    return [x for layer in layers for x in (layer.weight, layer.bias)]
+    return eqx.tree_at(weights, shape, [jnp.array(x.detach().numpy(), float) for x in weights(actor)])

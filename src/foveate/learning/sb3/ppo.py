@@ -1,7 +1,7 @@
 """Train by PPO of Stable-Baselines3 (extra `ppo`), the model-free baseline of the paper.
 
-It learns on the same episodes, from the same features, with the same network and limits as the policy gradient, is
-validated on the same held-out scenes, and its best policy is kept in the same run folder, as JAX arrays.
+Episodes, features, network, limits, held-out scenes and run folder are those of the policy gradient; the best policy is
+saved as JAX arrays.
 """
 
 # Without the extra `ppo` there is no torch to check against.
@@ -25,7 +25,7 @@ from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import Outcome, Validation, claim
 from foveate.learning.run_files import RunFiles
 from foveate.learning.tensorboard import Events
-from foveate.learning.validation import OnValidation, held_out_episodes, validate
+from foveate.learning.validation import OnValidation, held_out_episodes, no_report, validate
 from foveate.policies.attention import AttentionSettings
 from foveate.simulation.environment import Environment
 
@@ -33,37 +33,34 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
 
-
 LOG_INTERVAL_UPDATES = 10**9
-"""Updates between two lines of Stable-Baselines3's own log: more than a training has, since ours replaces it."""
+"""Updates between two lines of Stable-Baselines3's log: more than a training has, since our log replaces it."""
 
 
 class _Validator:
-    """Validates the actor of a PPO, keeps the best, and writes the files of the run."""
+    """Validates the actor, keeps the best one, and writes the files of the run."""
 
     def __init__(self, files: RunFiles, events: Events, on_validation: OnValidation) -> None:
         experiment = files.experiment
         problem = experiment.scenario.problem()
-        # As for the JAX learners: the same seed holds out the same scenes.
-        _, scenes_key, _, validation_key = jax.random.split(jax.random.key(files.seed), 4)
+        # The JAX learners hold out the same scenes for the same seed.
+        _, scenes_key, _, key = jax.random.split(jax.random.key(files.seed), 4)
         episodes = held_out_episodes(experiment, problem, scenes_key)
-        score_of = eqx.filter_jit(
-            lambda policy, episodes: validate(experiment, problem, policy, episodes, validation_key)
-        )
+        score_of = eqx.filter_jit(lambda policy, episodes: validate(experiment, problem, policy, episodes, key))
         self.problem, self.score_of = problem, lambda policy: score_of(policy, episodes)
         self.files, self.events, self.on_validation = files, events, on_validation
         self.best_score, self.best_epoch, self.epoch, self.stop_reason = -math.inf, 0, 0, ""
         self.scores: list[float] = []
-        self.began = self.last = time.perf_counter()
+        self.began = self.last_time = time.perf_counter()
         self.last_epoch = 0
 
     def validate(self, model: "PPO", training: PPOSettings) -> None:
-        """Validate the actor once; sets `stop_reason` where a number is not finite."""
+        """Validate the actor once; set `stop_reason` if a number is not finite."""
         from foveate.learning.sb3.network import ActorAndCritic, to_jax
 
         policy = to_jax(cast(ActorAndCritic, model.policy).actor, self.problem, network_of(self.files.experiment))
         held_out, at_limit = (float(x) for x in self.score_of(policy))
-        # Weights that are not finite may give a finite score all the same, by tanh and the limits of the agent.
+        # Weights that are not finite may give a finite score by tanh and the limits of the agent.
         finite = _is_finite(model) and math.isfinite(held_out)
         best = finite and held_out > self.best_score
         ended = time.perf_counter()
@@ -74,12 +71,12 @@ class _Validator:
             held_out=held_out,
             at_limit=at_limit,
             best=best,
-            epochs_per_s=(self.epoch - self.last_epoch) / (ended - self.last),
+            epochs_per_s=(self.epoch - self.last_epoch) / (ended - self.last_time),
             elapsed_s=ended - self.began,
             event="" if finite else "not finite",
             env_steps=model.num_timesteps,
         )
-        self.last, self.last_epoch, self.scores = ended, self.epoch, []
+        self.last_time, self.last_epoch, self.scores = ended, self.epoch, []
         if best:
             self.best_score, self.best_epoch = held_out, self.epoch
             self.files.save_best(policy, validation)
@@ -90,18 +87,12 @@ class _Validator:
         self.on_validation(validation, training.steps)
 
 
-def train(
-    experiment: Experiment,
-    out: Path,
-    seed: int = 0,
-    on_validation: OnValidation = lambda validation, total: None,
-) -> Outcome:
-    """Train a policy by PPO into the run folder `out`.
+def train(experiment: Experiment, out: Path, seed: int = 0, on_validation: OnValidation = no_report) -> Outcome:
+    """Train a policy by PPO into the run folder `out`, and keep the best on held-out scenes.
 
-    The same experiment and seed give the same checkpoint on the same machine. The policy that is kept is the best on
-    held-out scenes, as with the policy gradient; the last line of the metrics is about the final one. Seeds the
-    generators of Python, numpy and torch. Raises InputError where `out` holds a run already, where the experiment
-    is not one of PPO, and where Stable-Baselines3 is not installed.
+    The same experiment and seed give the same checkpoint on the same machine. Seeds the generators of Python, numpy and
+    torch. Raises InputError if `out` already holds a run, the experiment is not one of PPO, or Stable-Baselines3 is not
+    installed.
     """
     training = experiment.training
     if not isinstance(training, PPOSettings):
@@ -120,8 +111,8 @@ def train(
             # torch rejects a Gaussian whose mean is not a number.
             if _is_finite(model):
                 raise
-            what = f"a weight was not finite ({type(error).__name__})"
-            validator.stop_reason = f"epoch {validator.epoch}: {what}; the best is kept"
+            reason = f"a weight was not finite ({type(error).__name__})"
+            validator.stop_reason = f"epoch {validator.epoch}: {reason}; the best is kept"
     return Outcome(
         epochs=validator.epoch,
         best_epoch=validator.best_epoch,
@@ -132,7 +123,7 @@ def train(
 
 
 def network_of(experiment: Experiment) -> AttentionSettings:
-    """The network that PPO trains. Raises InputError for one that is not implemented in PyTorch here."""
+    """The network that PPO trains. Raises InputError for one that is not implemented in PyTorch."""
     if not isinstance(experiment.policy, AttentionSettings):
         raise InputError(f"policy.kind = '{experiment.policy.kind}': expected 'attention', the network that PPO trains")
     return experiment.policy
@@ -147,14 +138,11 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
 
     problem = experiment.scenario.problem()
     environment = Environment(problem, experiment.scenario.scenes, training.protocol, training.noise)
-    vec_env = TargetsVecEnv(
-        environment, network_of(experiment), training.environments, jax.random.key(seed), training.reward_scale
-    )
-    rate = training.learning_rate
+    key, network, rate = jax.random.key(seed), network_of(experiment), training.learning_rate
     # The last rollout may pass the number of steps: the share left, which the schedule follows, then falls below 0.
     return PPO(
         ActorAndCritic,
-        vec_env,
+        TargetsVecEnv(environment, network, training.environments, key, training.reward_scale),
         learning_rate=rate if training.schedule == "constant" else lambda left: rate * max(left, 0.0),
         n_steps=training.rollout_steps,
         batch_size=training.batch,
@@ -167,7 +155,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
         max_grad_norm=training.gradient_bound,
         policy_kwargs={
             "problem": problem,
-            "settings": network_of(experiment),
+            "settings": network,
             "critic_sees_time": training.critic_sees_time,
             "log_std_init": training.log_std,
         },
@@ -180,7 +168,7 @@ def _callback(validator: _Validator, training: PPOSettings) -> "BaseCallback":
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Validations(BaseCallback):
-        """Counts updates and final scores; validates after the update that completes `check_every` more steps."""
+        """Counts updates, collects final scores; validates after the update that completes `check_every` more steps."""
 
         model: Any
         due = training.check_every
@@ -192,12 +180,9 @@ def _callback(validator: _Validator, training: PPOSettings) -> "BaseCallback":
         def _on_rollout_start(self) -> None:
             # Each rollout but the first begins after an update.
             if self.num_timesteps:
-                self._updated()
+                self._on_training_end()
 
         def _on_training_end(self) -> None:
-            self._updated()
-
-        def _updated(self) -> None:
             validator.epoch += 1
             if self.num_timesteps >= self.due or self.num_timesteps >= training.steps:
                 validator.validate(self.model, training)

@@ -22,10 +22,9 @@ from foveate.types import Key, Scalar
 class TargetsVecEnv(VecEnv):
     """`count` environments in one batch; observations are rows of `flat_inputs`, actions in [-1, 1] for each axis.
 
-    The horizon belongs to the task, and nothing after it is worth anything: the end of an episode is `terminated`,
-    never `TimeLimit.truncated`, so that no learner bootstraps from the value of a state beyond it. At an episode's end
-    `infos[i]` holds the last observation as "terminal_observation", the last score as "score", and the sum of rewards
-    (times `reward_scale`) and the length as "episode", where Stable-Baselines3 looks for them.
+    The horizon belongs to the task: the end of an episode is `terminated`, never `TimeLimit.truncated`, so that no
+    learner bootstraps from a value beyond it. Then `infos[i]` holds the last observation as "terminal_observation", the
+    last score as "score", and the sum of rewards (times `reward_scale`) and the length as "episode".
     """
 
     def __init__(
@@ -43,7 +42,7 @@ class TargetsVecEnv(VecEnv):
         super().__init__(count, rows, spaces.Box(-1.0, 1.0, self._actions.shape[1:], np.float32))
 
     def reset(self) -> np.ndarray:
-        """Begin a fresh episode in every environment; the same ones after the same `seed`."""
+        """Begin a new episode in every environment; the same ones after the same `seed`."""
         if self._seeds[0] is not None:
             self._key = jax.random.key(self._seeds[0])
         self._reset_seeds()
@@ -56,7 +55,7 @@ class TargetsVecEnv(VecEnv):
         self._actions = np.asarray(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Take the step; return observations, rewards, ends, and infos of the episodes that ended."""
+        """Take the step; return observations, rewards, ends, and infos of ended episodes."""
         steps = self._batch.step(self._actions)
         reward = self._reward_scale * steps.reward
         self._returns += reward
@@ -72,10 +71,10 @@ class TargetsVecEnv(VecEnv):
         return steps.observed, reward, steps.done, infos
 
     def close(self) -> None:
-        """Close nothing: no resource is open."""
+        """Do nothing: no resource is open."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The attribute, repeated for each environment: all are alike."""
+        """The attribute, once per environment: all are alike."""
         value = None if attr_name == "render_mode" else getattr(self, attr_name)
         return [value for _ in self._get_indices(indices)]
 
