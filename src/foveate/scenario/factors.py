@@ -11,9 +11,9 @@ from foveate.scenario.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class Factor:
-    """A property of the scenario and its values; `trained` is the range that training knew, from and to.
+    """A property of the scenario and its values; `trained` is its range in training, from and to.
 
-    `same_scenes`: whether scenes of different values differ in nothing else, and can be compared one by one.
+    `same_scenes`: the scenes of all values differ in nothing else, and can be compared one by one.
     """
 
     name: str
@@ -25,21 +25,19 @@ class Factor:
 
     @property
     def nominal(self) -> float:
-        """The unchanged value; of a range that training knew, the first that is measured."""
-        low, high = self.trained
-        return next(value for value in self.values if low <= value <= high)
+        """The first of the values within the range of training."""
+        return next(value for value in self.values if self.trained[0] <= value <= self.trained[1])
 
 
 def _set(part: str, *names: str, scale: float = 1.0) -> Callable[[Scenario, float], Scenario]:
-    """A change that sets these fields of a part of the scenario to the value, times `scale`."""
+    """Return a change that sets these fields of a part of the scenario to the value times `scale`."""
 
     def change(scenario: Scenario, value: float) -> Scenario:
-        old = getattr(scenario, part)
-        new: dict[str, Any] = {}
-        for name in names:
-            field = getattr(old, name)
-            new[name] = (value,) * len(field) if isinstance(field, tuple) else type(field)(scale * value)
-        return replace(scenario, **{part: replace(old, **new)})
+        settings = getattr(scenario, part)
+        fields: dict[str, Any] = {name: getattr(settings, name) for name in names}
+        for name, old in fields.items():
+            fields[name] = (value,) * len(old) if isinstance(old, tuple) else type(old)(scale * value)
+        return replace(scenario, **{part: replace(settings, **fields)})
 
     return change
 
@@ -62,4 +60,4 @@ FACTORS = (
     Factor(name="turn", label="turn rate up to [deg/s]", values=(15.0, 30.0, 60.0, 120.0, 240.0), trained=(60.0, 60.0),
            change=_set("agent", "w_max_rad_s", scale=np.pi / 180)),
 )  # fmt: skip
-"""Of the paper's scenario: a quarter to four times what training knew, as far as the factor goes."""
+"""Of the paper's scenario: a quarter to four times the value of training, within the range that the factor allows."""
