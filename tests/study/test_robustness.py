@@ -13,7 +13,7 @@ from foveate.scenario.factors import FACTORS, Factor
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
 from foveate.study.robustness import Point, as_json, changed_benchmark, measure, verdicts
-from foveate.study.tables import worlds
+from foveate.study.tables import robustness
 
 PAPER = PRESETS["paper"]
 BY_NAME = {factor.name: factor for factor in FACTORS}
@@ -63,7 +63,7 @@ def made_up_points() -> list[Point]:
 def test_the_table_leaves_out_a_closeness_that_says_nothing():
     """Where a method passes the omniscient planner, that planner is the weak one."""
     best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in made_up_points()[-2:]]
-    found = worlds([MADE_UP], [*made_up_points()[:-2], *best])
+    found = robustness([MADE_UP], [*made_up_points()[:-2], *best])
     mean = SCORES.mean(axis=(0, 2))
     (_, method, *cells), (_, ceiling, *highest) = found.rows
     assert (method, ceiling, highest[0]) == ("net", "omniscient", "9.00 ± 0.00")

@@ -40,11 +40,10 @@ def unseen_scores(problem: Problem, horizons: Sequence[int]) -> Float[np.ndarray
 def lower_bounds(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
     """Mean score of an agent that never sees anything [nat per target], for every cell of the scenes.
 
-    Raises InputError for a filter that uses missed detections: it gains information without seeing, so that neither
-    this score nor the planner's, which ignores missed detections, is a bound.
+    Raises InputError for a filter that learns from missed detections: neither this score nor that of plans bounds it.
     """
     if problem.sensor.uses_missed_detections:
-        raise InputError("sensor.missed_detections = 'used': expected 'none', as normalised_score has no bounds with it")
+        raise InputError("sensor.missed_detections = 'used': expected none, as normalised_score has no bounds with it")
     values = zip(scenes, unseen_scores(problem, [scene.horizon for scene in scenes]), strict=True)
     cells = group_by(values, lambda pair: (pair[0].motion, len(pair[0].targets)))
     return {cell: float(np.mean([value for _, value in pairs])) for cell, pairs in cells.items()}

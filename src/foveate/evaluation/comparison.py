@@ -12,7 +12,7 @@ import numpy as np
 from foveate.evaluation.bounds import Cell, with_normalised_scores
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.statistics import holm, paired
-from foveate.evaluation.summary import Summary, summarise
+from foveate.evaluation.summary import Summary, scene_means, summarise
 from foveate.io.grouping import group_by
 
 
@@ -104,7 +104,7 @@ def _differences(rows: Sequence[Row], reference: str) -> Iterator[Difference]:
     """Differences of every method but the reference, cell by cell, in the order of the rows."""
     scored = (row for row in rows if row.score is not None)
     groups = group_by(scored, lambda row: (row.method, row.protocol, row.motion, row.targets))
-    means = {cell: _mean_by_scene(group) for cell, group in groups.items()}
+    means = {cell: scene_means(group) for cell, group in groups.items()}
     for (method, protocol), cells in group_by(means, lambda cell: cell[:2]).items():
         if method == reference:
             continue
@@ -115,11 +115,6 @@ def _differences(rows: Sequence[Row], reference: str) -> Iterator[Difference]:
                 method=method, reference=reference, protocol=protocol, motion=cell[2], targets=cell[3], p_holm=p_holm,
                 scenes=len(means[cell]), **asdict(test),
             )  # fmt: skip
-
-
-def _mean_by_scene(rows: Sequence[Row]) -> dict[str, float]:
-    scenes = group_by(rows, lambda row: row.scene)
-    return {scene: float(np.mean(np.array([row.score for row in group], float))) for scene, group in scenes.items()}
 
 
 def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[str, str]) -> Iterator[Overall]:

@@ -1,18 +1,18 @@
 """Evaluate planners on the scenes and noise of policies: receding horizon, open loop, refined policy, omniscient."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, prepare
-from foveate.evaluation.oracle import omniscient, omniscient_rows
+from foveate.evaluation.oracle import OnProgress, omniscient, omniscient_rows
 from foveate.evaluation.planners import WINDOW, planner, planner_rows
-from foveate.evaluation.report import Evaluation
+from foveate.evaluation.report import Evaluation, rows_by_protocol
 from foveate.evaluation.summary import summarise
 from foveate.experiment.experiment import Experiment
 from foveate.io.files import cache_folder
-from foveate.io.progress import Bar
 from foveate.io.toml import digest
 from foveate.io.validate import check_count
 from foveate.planning.receding import OpenLoop
@@ -23,10 +23,10 @@ from foveate.simulation.records import Policy
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """A planner and its budget; None takes the planner's own number.
+    """A planner and its budget; None stands for the planner's default.
 
-    `refine`: steps of ascent from a policy's own sequence, in place of the planner's starts. `window`: most steps that
-    a receding-horizon plan looks ahead.
+    `refine`: steps of ascent from a policy's own actions, in place of the planner's starts. `window`: the most steps
+    that a receding-horizon plan looks ahead.
     """
 
     refine: int | None = None
@@ -42,15 +42,13 @@ class PlanOptions:
         if self.window is not None and (self.omniscient or self.open_loop):
             raise InputError(f"window {self.window}: only a receding-horizon plan has one")
         if self.omniscient and (self.open_loop or self.refine is not None):
-            raise InputError("omniscient: needs no open loop and no refinement: it knows the future")
+            raise InputError("omniscient: takes no open loop and no refinement: it knows the future")
         if self.refine is not None and (self.open_loop or self.starts is not None or self.iterations is not None):
-            raise InputError(
-                f"refine {self.refine}: begins at the policy's own sequence; no other option of plans fits"
-            )
+            raise InputError(f"refine {self.refine}: starts from the policy's actions: takes no other option of plans")
 
     @property
     def method(self) -> str:
-        """The method's name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-15."""
+        """Name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-15."""
         if self.refine is not None:
             return f"refine-{self.refine}"
         starts = "" if self.starts is None else f"-{self.starts}"
@@ -60,21 +58,17 @@ class PlanOptions:
         """The planner's settings under a protocol."""
         if self.refine is not None:
             return refining(protocol, self.refine)
-        settings = OMNISCIENT[protocol] if self.omniscient else ONLINE[protocol]
-        if self.starts is None and not self.omniscient:
-            settings = PUBLISHED
+        online = PUBLISHED if self.starts is None else ONLINE[protocol]
+        settings = OMNISCIENT[protocol] if self.omniscient else online
         if self.open_loop:
             settings = replace(settings, iterations=OMNISCIENT[protocol].iterations)
-        if self.starts is not None:
-            settings = replace(settings, starts=self.starts)
-        if self.iterations is not None:
-            settings = replace(settings, iterations=self.iterations)
-        return settings
+        given = {"starts": self.starts, "iterations": self.iterations}
+        return replace(settings, **{name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSuite:
-    """Scenes of an experiment with their noise, to be planned on; `policy` is the one to refine."""
+    """Scenes of an experiment with their noise; `policy` is the one to refine."""
 
     experiment: Experiment
     scenes: Sequence[Scene]
@@ -82,8 +76,8 @@ class PlanSuite:
     episodes: int
     policy: Policy | None = None
 
-    def rows(self, options: PlanOptions, protocol: str, on_progress: Callable[[int], None]) -> list[Row]:
-        """One row an episode; `on_progress` takes the number of episodes that are done."""
+    def rows(self, options: PlanOptions, protocol: str, on_progress: OnProgress) -> list[Row]:
+        """Plan every episode: one row each; `on_progress` takes the number of completed episodes."""
         problem, settings = self.experiment.scenario.problem(), options.settings(protocol)
         scene_settings = self.experiment.scenario.scenes
         suite = prepare(problem, scene_settings, self.scenes, self.seed, self.episodes)
@@ -109,16 +103,10 @@ def evaluate_plans(
     quiet: bool = False,
 ) -> Evaluation:
     """Plan on every scene under each protocol: rows and summary as those of policies; `chosen` names the scenes."""
-    rows: list[Row] = []
-
-    def counting(bar: Bar, before: int) -> Callable[[int], None]:
-        return lambda done: bar.update(before + done)
-
-    with Bar("planning", len(suite.scenes) * suite.episodes * len(protocols), "episodes", quiet) as bar:
-        for protocol in protocols:
-            rows += suite.rows(options, protocol, counting(bar, len(rows)))
+    count = len(suite.scenes) * suite.episodes
+    rows = rows_by_protocol("planning", count, protocols, partial(suite.rows, options), quiet)
     state_size = suite.experiment.scenario.problem().motion.state_size
-    made = {
+    origin = {
         "scenes": chosen,
         "scenes_digest": scenes_digest(suite.scenes),
         "experiment": digest(suite.experiment),
@@ -126,7 +114,7 @@ def evaluate_plans(
     }
     return Evaluation(
         title=f"plans on {chosen}: score per target [nat], {suite.episodes} episode(s) a scene",
-        facts={**made, **facts, **asdict(options)},
+        facts={**origin, **facts, **asdict(options)},
         rows=tuple(rows),
         summary=tuple(summarise(rows, state_size)),
         scenes=tuple(suite.scenes),
