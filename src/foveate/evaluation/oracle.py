@@ -58,9 +58,14 @@ class Plans:
     seconds: Float[np.ndarray, " episodes"]
 
 
-def oracle_rows(suite: Suite, protocol: str, on_progress: OnProgress = lambda done: None) -> list[Row]:
-    """Rows of the omniscient planner at its full budget; its plans are kept in the user's cache folder."""
-    plans = omniscient(suite, protocol, OMNISCIENT[protocol], cache_folder("plans"), on_progress)
+def oracle_rows(
+    suite: Suite,
+    protocol: str,
+    on_progress: OnProgress = lambda done: None,
+    settings: PlanSettings | None = None,
+) -> list[Row]:
+    """Rows of the omniscient planner (None: at its full budget); its plans are kept in the user's cache folder."""
+    plans = omniscient(suite, protocol, settings or OMNISCIENT[protocol], cache_folder("plans"), on_progress)
     return omniscient_rows(suite, protocol, plans)
 
 

@@ -2,22 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from typing import Any
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, prepare
-from foveate.evaluation.oracle import OnProgress, omniscient, omniscient_rows
+from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import WINDOW, planner, planner_rows
-from foveate.evaluation.report import Evaluation, rows_by_protocol
+from foveate.evaluation.report import Evaluation, evaluation, rows_by_protocol
 from foveate.evaluation.summary import summarise
 from foveate.experiment.experiment import Experiment
-from foveate.io.files import cache_folder
-from foveate.io.toml import digest
 from foveate.io.validate import check_count
 from foveate.planning.receding import OpenLoop
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
-from foveate.scenario.scenes import Scene, scenes_digest
+from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
 
 
@@ -66,56 +63,39 @@ class PlanOptions:
         return replace(settings, **{name: value for name, value in given.items() if value is not None})
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlanSuite:
-    """Scenes of an experiment with their noise; `policy` is the one to refine."""
-
-    experiment: Experiment
-    scenes: Sequence[Scene]
-    seed: int
-    episodes: int
-    policy: Policy | None = None
-
-    def rows(self, options: PlanOptions, protocol: str, on_progress: OnProgress) -> list[Row]:
-        """Plan every episode: one row each; `on_progress` takes the number of completed episodes."""
-        problem, settings = self.experiment.scenario.problem(), options.settings(protocol)
-        scene_settings = self.experiment.scenario.scenes
-        suite = prepare(problem, scene_settings, self.scenes, self.seed, self.episodes)
-        if options.omniscient:
-            plans = omniscient(suite, protocol, settings, cache_folder("plans"), on_progress)
-            return omniscient_rows(suite, protocol, plans)
-
-        def policy_of(horizon: int) -> Policy:
-            if options.open_loop:
-                return OpenLoop(problem, settings, horizon)
-            return planner(problem, settings, horizon, options.window or WINDOW, self.policy)
-
-        return planner_rows(suite, scene_settings, options.method, policy_of, protocol, on_progress)
-
-
 def evaluate_plans(
-    suite: PlanSuite,
+    experiment: Experiment,
     options: PlanOptions,
+    scenes: Sequence[Scene],
     chosen: str,
     facts: dict[str, Any],
     *,
     protocols: Sequence[str],
+    policy: Policy | None = None,
+    episodes: int = 1,
+    seed: int = 0,
     quiet: bool = False,
 ) -> Evaluation:
-    """Plan on every scene under each protocol: rows and summary as those of policies; `chosen` names the scenes."""
-    count = len(suite.scenes) * suite.episodes
-    rows = rows_by_protocol("planning", count, protocols, partial(suite.rows, options), quiet)
-    state_size = suite.experiment.scenario.problem().motion.state_size
-    origin = {
-        "scenes": chosen,
-        "scenes_digest": scenes_digest(suite.scenes),
-        "experiment": digest(suite.experiment),
-        "seed": suite.seed,
-    }
-    return Evaluation(
-        title=f"plans on {chosen}: score per target [nat], {suite.episodes} episode(s) a scene",
-        facts={**origin, **facts, **asdict(options)},
-        rows=tuple(rows),
-        summary=tuple(summarise(rows, state_size)),
-        scenes=tuple(suite.scenes),
-    )
+    """Plan on every scene under each protocol: rows and summary as those of policies.
+
+    `policy` is the one to refine, `chosen` the name of the scenes.
+    """
+    problem, scene_settings = experiment.scenario.problem(), experiment.scenario.scenes
+    suite = prepare(problem, scene_settings, scenes, seed, episodes)
+
+    def rows_of(protocol: str, on_progress: OnProgress) -> list[Row]:
+        settings = options.settings(protocol)
+        if options.omniscient:
+            return oracle_rows(suite, protocol, on_progress, settings)
+
+        def policy_of(horizon: int) -> Policy:
+            if options.open_loop:
+                return OpenLoop(problem, settings, horizon)
+            return planner(problem, settings, horizon, options.window or WINDOW, policy)
+
+        return planner_rows(suite, scene_settings, options.method, policy_of, protocol, on_progress)
+
+    rows = rows_by_protocol("planning", len(scenes) * episodes, protocols, rows_of, quiet)
+    summary = summarise(rows, problem.motion.state_size)
+    facts = {"scenes": chosen, **facts, **asdict(options)}
+    return evaluation(f"plans on {chosen}", facts, experiment, suite, rows, summary)

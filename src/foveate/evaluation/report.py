@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
-from foveate.evaluation.evaluate import Row, evaluate, prepare
+from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
 from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.summary import Summary, summarise, write_result
 from foveate.experiment.experiment import Experiment
@@ -80,16 +80,18 @@ def evaluate_all(
         count = len(scenes) * episodes
         oracle = rows_by_protocol("omniscient plans", count, protocols, partial(oracle_rows, suite), quiet)
         summary = with_normalised_scores(summary, summarise(oracle, problem.motion.state_size), lower)
-    facts = {
-        **facts,
-        "experiment": digest(experiment),
-        "initial_error": experiment.scenario.scenes.initial_error,
-        "scenes_digest": scenes_digest(scenes),
-        "seed": seed,
-    }
+    facts = {**facts, "initial_error": experiment.scenario.scenes.initial_error}
+    return evaluation(title, facts, experiment, suite, rows, summary)
+
+
+def evaluation(
+    title: str, facts: dict[str, Any], experiment: Experiment, suite: Suite, rows: list[Row], summary: list[Summary]
+) -> Evaluation:
+    """Make the record of an evaluation, with the facts of its origin."""
+    origin = {"experiment": digest(experiment), "scenes_digest": scenes_digest(suite.scenes), "seed": suite.seed}
     return Evaluation(
-        title=f"{title}: score per target [nat], {episodes} episode(s) a scene",
-        facts=facts,
+        title=f"{title}: score per target [nat], {suite.episodes_per_scene} episode(s) a scene",
+        facts={**facts, **origin},
         rows=tuple(rows),
         summary=tuple(summary),
         scenes=suite.scenes,

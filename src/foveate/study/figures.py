@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,13 +27,13 @@ HALO = withStroke(linewidth=2.5, foreground="white")
 PANEL_POINTS = 260.0
 """Approximate height of a panel of the Pareto figure."""
 
-FAMILIES = {
+FAMILIES: dict[str, dict[str, Any]] = {
     "trained": {"color": BLUE, "marker": "o"},
     "trained, refined": {"color": PURPLE, "marker": "D"},
     "planned": {"color": GREEN, "marker": "s"},
     "heuristic": {"color": VERMILLION, "marker": "^"},
 }
-OTHER_FAMILY = {"color": BLACK, "marker": "o"}
+OTHER_FAMILY: dict[str, Any] = {"color": BLACK, "marker": "o"}
 
 STYLES = ((BLUE, "o", "-"), (VERMILLION, "^", "-"), (GREEN, "s", "-"), (PURPLE, "D", "-"), (ORANGE, "v", "-"))
 """Colour, marker and line of the methods under changed factors, in their order."""
@@ -47,7 +48,7 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
     """
     if not overall:
         raise InputError("no method to draw: expected at least one")
-    protocols = group_by(overall, lambda one: one.protocol)
+    protocols = group_by(overall, lambda method: method.protocol)
     figure = new_figure(WIDTH, 4.6)
     panels = figure.subplots(1, len(protocols), squeeze=False, sharey=True)[0]
     for axes, (protocol, methods) in zip(panels, protocols.items(), strict=True):
@@ -60,7 +61,7 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
             )  # fmt: skip
         axes.set_title(f"{protocol} score", fontsize=10, fontweight="bold", loc="left")
     panels[0].set_ylabel("score [nat per target], mean over cells", fontsize=9.5)
-    families = dict.fromkeys(one.family for one in overall if one.family != "omniscient")
+    families = dict.fromkeys(method.family for method in overall if method.family != "omniscient")
     entries = [Line2D([], [], ls="none", ms=6, label=name, **FAMILIES.get(name, OTHER_FAMILY)) for name in families]
     entries.append(Line2D([], [], color=GREY, lw=1.2, label="Pareto front"))
     figure.legend(handles=entries, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
@@ -70,7 +71,7 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
 def pareto_front(overall: Sequence[Overall]) -> list[Overall]:
     """Methods that score more than all that decide as fast or faster, fastest first."""
     front: list[Overall] = []
-    for method in sorted(overall, key=lambda one: (one.step_time_s, -one.mean)):
+    for method in sorted(overall, key=lambda method: (method.step_time_s, -method.mean)):
         if not front or method.mean > front[-1].mean:
             front.append(method)
     return front
@@ -78,17 +79,23 @@ def pareto_front(overall: Sequence[Overall]) -> list[Overall]:
 
 def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     front = pareto_front(overall)
-    axes.step([1e3 * one.step_time_s for one in front], [one.mean for one in front], where="post", color=GREY, lw=1.2)
-    for one in overall:
-        style = FAMILIES.get(one.family, OTHER_FAMILY)
-        axes.plot(1e3 * one.step_time_s, one.mean, ms=6, mec="white", mew=0.6, zorder=5, **style)
+    axes.step(
+        [1e3 * method.step_time_s for method in front],
+        [method.mean for method in front],
+        where="post",
+        color=GREY,
+        lw=1.2,
+    )
+    for method in overall:
+        style = FAMILIES.get(method.family, OTHER_FAMILY)
+        axes.plot(1e3 * method.step_time_s, method.mean, ms=6, mec="white", mew=0.6, zorder=5, **style)
     tidy(axes, "time of a decision [ms]")
     axes.margins(y=0.08)
     low, high = axes.get_ylim()
     log_axis(axes, (1.0,), right=4.0)
-    for one, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
+    for method, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
         label = axes.annotate(
-            one.method, (1e3 * one.step_time_s, one.mean), (6, (height - one.mean) / (high - low) * PANEL_POINTS),
+            method.method, (1e3 * method.step_time_s, method.mean), (6, (height - method.mean) / (high - low) * PANEL_POINTS),
             textcoords="offset points", fontsize=8, va="center", zorder=4, path_effects=[HALO],
         )  # fmt: skip
         label.set_in_layout(False)
@@ -97,7 +104,7 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
 def _spread_labels(overall: Sequence[Overall], least: float) -> list[float]:
     """Heights of labels beside their points, pushed up where points of about the same time would share them."""
     order = sorted(range(len(overall)), key=lambda i: overall[i].mean)
-    heights = [one.mean for one in overall]
+    heights = [method.mean for method in overall]
     for rank, i in enumerate(order):
         for j in order[:rank]:
             near = abs(math.log(overall[i].step_time_s / overall[j].step_time_s)) < math.log(4.0)
@@ -147,12 +154,12 @@ def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapp
     low, high = factor.trained
     band = (low - 0.12 * gap, high + 0.12 * gap) if is_even else (low / gap**0.12, high * gap**0.12)
     axes.axvspan(*band, color=PALE, lw=0, zorder=0)
-    for method, ours in group_by(verdicts, lambda one: one.method).items():
+    for method, ours in group_by(verdicts, lambda verdict: verdict.method).items():
         color, marker, line = styles[method]
-        x, mean = [one.value for one in ours], np.array([one.mean for one in ours])
-        bars = None if method == ORACLE else np.abs(np.array([one.ci95 for one in ours]).T - mean)
+        x, mean = [verdict.value for verdict in ours], np.array([verdict.mean for verdict in ours])
+        bars = None if method == ORACLE else np.abs(np.array([verdict.ci95 for verdict in ours]).T - mean)
         axes.errorbar(x, mean, bars, color=color, marker=marker, ls=line, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2)
-    lower_bounds = {one.value: one.floor for one in verdicts}
+    lower_bounds = {verdict.value: verdict.floor for verdict in verdicts}
     axes.plot(list(lower_bounds), list(lower_bounds.values()), color=GREY, ls=":", lw=1.4)
     axes.xaxis.set_major_locator(FixedLocator(list(factor.values)))
     axes.xaxis.set_minor_locator(NullLocator())

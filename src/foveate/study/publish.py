@@ -46,7 +46,7 @@ def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     figures = dict(page.figures(comparisons[0]))
     if study.suite == "true-view" and not study.quick:
         page.animations(comparisons[0])
-    shown = [table for one in comparisons for protocol in study.protocols for table in tables.tables(one, protocol)]
+    shown = [table for each in comparisons for protocol in study.protocols for table in tables.tables(each, protocol)]
     if results.points:
         shown.append(tables.robustness(study.factors, results.points))
     write_atomic(out / TABLE, markdown(heading(study), page.conditions(), shown, figures).encode())
@@ -77,8 +77,11 @@ class _Page:
         yield "pareto.png", "Score against the time of a decision"
         if self.results.trained:
             curves = {
-                name: (group[0].experiment.training.select, [read_validations(one.run / METRICS) for one in group])
-                for name, group in group_by(self.results.trained, lambda one: one.name).items()
+                name: (
+                    group[0].experiment.training.select,
+                    [read_validations(training.run / METRICS) for training in group],
+                )
+                for name, group in group_by(self.results.trained, lambda training: training.name).items()
             }
             learning_curves(curves, out / "learning.png")
             yield "learning.png", "Held-out score against environment steps and time: mean over seeds, worst to best"
@@ -127,8 +130,8 @@ class _Page:
             return None
         if RIVAL in policies and self.study.reference != RIVAL:
             return RIVAL
-        heuristics = [one for one in comparison.overall if (one.protocol, one.family) == (protocol, "heuristic")]
-        best = max(heuristics, key=lambda one: one.mean, default=None)
+        heuristics = [m for m in comparison.overall if (m.protocol, m.family) == (protocol, "heuristic")]
+        best = max(heuristics, key=lambda method: method.mean, default=None)
         return best.method if best is not None and best.method in policies else None
 
     def facts(self) -> dict[str, Any]:
@@ -142,15 +145,20 @@ class _Page:
             "training_seeds": list(study.seeds),
             "world": digest(study.experiment),
             "trainings": [
-                {"name": one.name, "seed": one.seed, "experiment": digest(one.experiment), **asdict(one.outcome)}
-                for one in self.results.trained
+                {
+                    "name": training.name,
+                    "seed": training.seed,
+                    "experiment": digest(training.experiment),
+                    **asdict(training.outcome),
+                }
+                for training in self.results.trained
             ],
         }
 
     def conditions(self) -> dict[str, str]:
         """The origin of the data, for readers."""
         study, made = self.study, provenance()
-        outcomes = {f"{one.name}-{one.seed}": one.outcome for one in self.results.trained}
+        outcomes = {f"{training.name}-{training.seed}": training.outcome for training in self.results.trained}
         rollbacks = [f"{name} ({outcome.rollbacks})" for name, outcome in outcomes.items() if outcome.rollbacks]
         stopped = [f"{name}: {outcome.stopped}" for name, outcome in outcomes.items() if outcome.stopped]
         missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]

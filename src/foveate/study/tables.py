@@ -1,6 +1,6 @@
 """Tables of a comparison."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,9 @@ from foveate.scenario.factors import Factor
 from foveate.study.robustness import ORACLE, Point, Verdict, verdicts
 
 SIGNIFICANT = 0.05
+
+Row = Callable[[Overall, list[Summary]], Iterable[str]]
+"""Makes the row of a method from its means and its summary of every cell."""
 
 MEANINGS = {
     "surrogate": "The paper's score: information grows softly, also for targets near the view",
@@ -39,7 +42,7 @@ def tables(comparison: Comparison, protocol: str) -> list[Table]:
     """All tables of one protocol: scores, differences, consistency, quantities by cell, training seeds."""
     shown = [scores(comparison, protocol), differences(comparison, protocol), consistency(comparison, protocol)]
     for title, note, text in BY_CELL:
-        shown.append(_table(comparison, protocol, title, note, _by_cell(comparison, protocol, text)))
+        shown.append(_table(comparison, protocol, title, note, _cells(comparison), _by_cell(text)))
     if any(cell.protocol == protocol for _, cell in comparison.by_seed):
         shown.append(seeds(comparison, protocol))
     return shown
@@ -52,14 +55,21 @@ def scores(comparison: Comparison, protocol: str) -> Table:
         "independent, training seeds as fixed: the table of seeds shows how they differ. In brackets, the paper's "
         "standard deviation over episodes."
     )
-    values = _by_cell(comparison, protocol, lambda cell: _interval(cell.mean, cell.ci95))
-    table = _table(comparison, protocol, "score per target [nat]", note, values)
-    rows = [(*row, *_overall(one)) for row, one in zip(table.rows, _ranked(comparison, protocol), strict=True)]
+
+    def row(method: Overall, summary: Sequence[Summary]) -> list[str]:
+        time_ms = 1e3 * method.step_time_s
+        time = f"{time_ms:.3f}" if time_ms < 1 else f"{time_ms:.1f}"
+        means = f"{method.mean:.2f}", _number(method.normalised_score, 3), f"{method.seen_fraction:.0%}", time
+        return [*(_interval(cell.mean, cell.ci95) for cell in summary), *means]
+
     cells = _cells(comparison)
-    if protocol == "surrogate":
-        printed = {name: numbers for name, numbers in PRINTED.items() if numbers.keys() >= set(cells)}
-        rows = [_printed(name, [numbers[cell] for cell in cells]) for name, numbers in printed.items()] + rows
-    return replace(table, header=(*table.header, "mean", "normalised_score", "seen", "decision [ms]"), rows=tuple(rows))
+    columns = (*cells, "mean", "normalised_score", "seen", "decision [ms]")
+    table = _table(comparison, protocol, "score per target [nat]", note, columns, row)
+    if protocol != "surrogate":
+        return table
+    printed = {name: numbers for name, numbers in PRINTED.items() if numbers.keys() >= set(cells.values())}
+    rows = (_printed(name, [numbers[cell] for cell in cells.values()]) for name, numbers in printed.items())
+    return replace(table, rows=(*rows, *table.rows))
 
 
 def differences(comparison: Comparison, protocol: str) -> Table:
@@ -68,39 +78,38 @@ def differences(comparison: Comparison, protocol: str) -> Table:
         "Mean of the differences ± half of its 95 % interval (Student), scenes paired. * : p < 0.05 of Wilcoxon's "
         "signed-rank test after Holm's correction for the cells of a row; table.json has all p values."
     )
-    values = {
-        (one.method, (one.motion, one.targets)): _interval(one.mean, one.ci95, "+") + "*" * (one.p_holm < SIGNIFICANT)
-        for one in comparison.differences
-        if one.protocol == protocol
-    }
-    return _table(comparison, protocol, f"difference to {comparison.reference} in the same scenes [nat]", note, values)
+    ours = {(d.method, d.motion, d.targets): d for d in comparison.differences if d.protocol == protocol}
+
+    def text(cell: Summary) -> str:
+        difference = ours[cell.method, cell.motion, cell.targets]
+        return _interval(difference.mean, difference.ci95, "+") + "*" * (difference.p_holm < SIGNIFICANT)
+
+    others = replace(comparison, overall=tuple(o for o in comparison.overall if o.method != comparison.reference))
+    title = f"difference to {comparison.reference} in the same scenes [nat]"
+    return _table(others, protocol, title, note, _cells(comparison), _by_cell(text))
 
 
 def consistency(comparison: Comparison, protocol: str) -> Table:
     """One row a method, means over cells: targets seen, errors, and consistency of the filter."""
-    columns = ("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "nees_seen", "nees_unseen")
-    summaries = group_by(comparison.summary, lambda cell: (cell.method, cell.protocol))
-    rows = []
-    for method in _ranked(comparison, protocol):
-        cells = summaries[method.method, protocol]
-        step_fraction = np.mean([cell.seen_step_fraction for cell in cells])
-        unseen_s = np.mean([cell.longest_unseen_s for cell in cells])
+
+    def row(method: Overall, summary: Sequence[Summary]) -> list[str]:
+        step_fraction = np.mean([cell.seen_step_fraction for cell in summary])
+        unseen_s = np.mean([cell.longest_unseen_s for cell in summary])
+        names = ("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "nees_seen", "nees_unseen")
+        errors = (_mean([getattr(cell, name) for cell in summary]) for name in names)
+        outside = sum(not cell.nees_band[0] <= cell.nees <= cell.nees_band[1] for cell in summary)
         seen = (f"{method.seen_fraction:.0%}", f"{step_fraction:.1%}", f"{unseen_s:.1f}")
-        errors = (_mean([getattr(cell, name) for cell in cells]) for name in columns)
-        outside = sum(not cell.nees_band[0] <= cell.nees <= cell.nees_band[1] for cell in cells)
-        rows.append((method.method, method.family, *seen, *errors, f"{outside} of {len(cells)}"))
-    return Table(
-        title=f"{_where(comparison, protocol)}: targets seen, and consistency of the filter",
-        note="Means over cells. Seen: targets measured at least once; of the time: measured targets among all targets "
+        return [*seen, *errors, f"{outside} of {len(summary)}"]
+
+    note = (
+        "Means over cells. Seen: targets measured at least once; of the time: measured targets among all targets "
         "of all steps; longest: the longest time without a measurement of any target. RMSE and NEES at the horizon, of "
         "all targets, of those seen and of those never seen; NEES is the state's length for a consistent filter, more "
-        "for an overconfident one. Outside: cells whose NEES lies outside of its 95 % band.",
-        header=(
-            "method", "kind", "seen", "of the time", "longest [s]", "rmse [m]", "of the seen", "of the never seen",
-            "NEES", "of the seen", "of the never seen", "outside",
-        ),
-        rows=tuple(rows),
-    )  # fmt: skip
+        "for an overconfident one. Outside: cells whose NEES lies outside of its 95 % band."
+    )
+    groups = ("of the seen", "of the never seen")
+    columns = ("seen", "of the time", "longest [s]", "rmse [m]", *groups, "NEES", *groups, "outside")
+    return _table(comparison, protocol, "targets seen, and consistency of the filter", note, columns, row)
 
 
 def robustness(factors: Sequence[Factor], points: Sequence[Point]) -> Table:
@@ -128,7 +137,7 @@ def seeds(comparison: Comparison, protocol: str) -> Table:
     for method, policies in group_by(ours, lambda pair: pair[1].method).items():
         by_cell = {(seed, (cell.motion, cell.targets)): cell.mean for seed, cell in policies}
         names = list(dict.fromkeys(seed for seed, _ in policies))
-        means = np.array([[by_cell[seed, cell] for cell in cells] for seed in names])
+        means = np.array([[by_cell[seed, cell] for cell in cells.values()] for seed in names])
         means = np.column_stack([means, means.mean(axis=1)])
         lines = {f"seed {seed}": line for seed, line in zip(names, means, strict=True)}
         if len(names) > 1:
@@ -137,27 +146,25 @@ def seeds(comparison: Comparison, protocol: str) -> Table:
     return Table(
         title=f"{_where(comparison, protocol)}: training seeds [nat]",
         note="Mean score of each trained policy over the scenes of a cell, and the standard deviation of these means.",
-        header=("method", "policy", *map(_label, cells), "mean"),
+        header=("method", "policy", *cells, "mean"),
         rows=tuple(rows),
     )
 
 
-def _table(
-    comparison: Comparison, protocol: str, title: str, note: str, values: Mapping[tuple[str, Cell], str]
-) -> Table:
-    """One row a method that has `values`, and one column a cell."""
-    cells = _cells(comparison)
-    methods = [method for method in _ranked(comparison, protocol) if (method.method, cells[0]) in values]
-    return Table(
-        title=f"{_where(comparison, protocol)}: {title}",
-        note=note,
-        header=("method", "kind", *map(_label, cells)),
-        rows=tuple((one.method, one.family, *(values[one.method, cell] for cell in cells)) for one in methods),
-    )
+def _table(comparison: Comparison, protocol: str, title: str, note: str, columns: Iterable[str], row: Row) -> Table:
+    """One row a method, best mean first."""
+    summaries = {(c.method, (c.motion, c.targets)): c for c in comparison.summary if c.protocol == protocol}
+    ranked = sorted((method for method in comparison.overall if method.protocol == protocol), key=lambda m: -m.mean)
+    rows = []
+    for method in ranked:
+        summary = [summaries[method.method, cell] for cell in _cells(comparison).values()]
+        rows.append((method.method, method.family, *row(method, summary)))
+    title = f"{_where(comparison, protocol)}: {title}"
+    return Table(title=title, note=note, header=("method", "kind", *columns), rows=tuple(rows))
 
 
-def _by_cell(comparison: Comparison, protocol: str, text: Callable[[Summary], str]) -> dict[tuple[str, Cell], str]:
-    return {(c.method, (c.motion, c.targets)): text(c) for c in comparison.summary if c.protocol == protocol}
+def _by_cell(text: Callable[[Summary], str]) -> Row:
+    return lambda overall, summary: map(text, summary)
 
 
 def _where(comparison: Comparison, protocol: str) -> str:
@@ -165,17 +172,9 @@ def _where(comparison: Comparison, protocol: str) -> str:
     return protocol if comparison.initial_error is None else f"{protocol}, {INITIAL_ERRORS[comparison.initial_error]}"
 
 
-def _cells(comparison: Comparison) -> list[Cell]:
-    return list(dict.fromkeys((cell.motion, cell.targets) for cell in comparison.summary))
-
-
-def _label(cell: Cell) -> str:
-    return f"{cell[1]} {cell[0]}"
-
-
-def _ranked(comparison: Comparison, protocol: str) -> list[Overall]:
-    """The methods of a protocol, best mean first."""
-    return sorted((one for one in comparison.overall if one.protocol == protocol), key=lambda one: -one.mean)
+def _cells(comparison: Comparison) -> dict[str, Cell]:
+    """The cells by their labels."""
+    return {f"{cell.targets} {cell.motion}": (cell.motion, cell.targets) for cell in comparison.summary}
 
 
 def _interval(mean: float, ci95: tuple[float, float], sign: str = "") -> str:
@@ -187,12 +186,6 @@ def _verdict(verdict: Verdict) -> str:
     if verdict.method == ORACLE or normalised is None:
         return score
     return f"{score} ({'-' if normalised > 1 else f'{normalised:.2f}'})"
-
-
-def _overall(one: Overall) -> tuple[str, ...]:
-    time_ms = 1e3 * one.step_time_s
-    time = f"{time_ms:.3f}" if time_ms < 1 else f"{time_ms:.1f}"
-    return f"{one.mean:.2f}", _number(one.normalised_score, 3), f"{one.seen_fraction:.0%}", time
 
 
 def _printed(name: str, numbers: Sequence[tuple[float, float]]) -> tuple[str, ...]:
