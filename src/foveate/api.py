@@ -9,7 +9,7 @@ from typing import Literal
 
 from foveate.deploy.policy import TrainedPolicy
 from foveate.errors import InputError
-from foveate.evaluation.plan import PlanOptions, PlanSuite, evaluate_plans
+from foveate.evaluation.plan import PlanOptions, evaluate_plans
 from foveate.evaluation.report import Evaluation, evaluate_all
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import adjusted, for_long_horizons, for_scenario
@@ -199,6 +199,8 @@ def plan(
     experiment = experiment_from(world) if subject is None else subject.experiment
     chosen, known = scenes_of(scenes, scene_seed, experiment)
     policy = None if subject is None or refine is None else subject.network()
-    suite = PlanSuite(experiment=experiment, scenes=known, seed=seed, episodes=episodes, policy=policy)
     facts = {"scene_seed": scene_seed, "run": None if subject is None else subject.name}
-    return evaluate_plans(suite, options, chosen, facts, protocols=protocols, quiet=not progress)
+    return evaluate_plans(
+        experiment, options, known, chosen, facts, protocols=protocols, policy=policy, episodes=episodes, seed=seed,
+        quiet=not progress,
+    )  # fmt: skip

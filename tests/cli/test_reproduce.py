@@ -88,8 +88,8 @@ def test_reproduce_for_the_true_view(
     out = tmp_path / "out"
     assert main(["reproduce", "--suite", "true-view", "--quick", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "first errors as in the paper" in printed
-    assert "consistent first errors" in printed
+    assert "initial errors as in the paper" in printed
+    assert "consistent initial errors" in printed
     data = json.loads((out / "table.json").read_text())
     assert (data["suite"], data["reference"]) == ("true-view", study.TRUE_VIEW)
     for part, count in (("rows", 3 * 4 * 2), ("summary", 3 * 2 * 2), ("overall", 3 * 2)):
@@ -102,7 +102,7 @@ def test_reproduce_for_the_true_view(
     (factor,) = worlds["factors"]
     assert (worlds["protocol"], worlds["training_seeds"]) == ("true", data["training_seeds"])
     assert {"foveate", "world", "scene_seed", "noise_seed", "trainings"} <= set(worlds)
-    assert "Worlds that differ" in (out / "table.md").read_text()
+    assert "Scenarios that differ" in (out / "table.md").read_text()
     assert {(one["method"], one["value"]) for one in factor["verdicts"]} == {
         (name, value) for name in (study.TRUE_VIEW, "uncertain") for value in (0.1, 0.2)
     }

@@ -26,7 +26,7 @@ def test_lower_bound_is_the_score_of_prediction_alone():
 
 def test_missed_detections_have_no_lower_bound():
     scene = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((1.0, 1.0),), drift=((0.0, 0.0),), horizon=3)
-    with pytest.raises(ValueError, match="normalised_score is of a filter"):
+    with pytest.raises(ValueError, match="normalised_score has no bounds"):
         lower_bounds(Scenario(sensor=SensorSettings(missed_detections="used")).problem(), [scene])
 
 

@@ -14,7 +14,7 @@ from foveate.scenario.factors import FACTORS
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
 from foveate.study.robustness import as_json, changed_benchmark, measure, verdicts
-from foveate.study.tables import worlds
+from foveate.study.tables import robustness
 
 PAPER = PRESETS["paper"]
 BY_NAME = {factor.name: factor for factor in FACTORS}
@@ -48,7 +48,7 @@ def test_points_are_what_an_evaluation_says():
 def test_the_table_leaves_out_a_closeness_that_says_nothing():
     """Where a method passes the omniscient planner, that planner is the weak one."""
     best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in random_points()[-2:]]
-    found = worlds([DOUBLING], [*random_points()[:-2], *best])
+    found = robustness([DOUBLING], [*random_points()[:-2], *best])
     mean = SCORES.mean(axis=(0, 2))
     (_, method, *cells), (_, ceiling, *highest) = found.rows
     assert (method, ceiling, highest[0]) == ("net", "omniscient", "9.00 ± 0.00")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import Outcome
@@ -181,7 +182,7 @@ def test_a_training_that_cannot_be_resumed_is_done_again(tmp_path, monkeypatch):
 
     def reject(experiment, run, seed, resume, report):
         if resume:
-            raise ValueError("last.npz: holds other arrays")
+            raise InputError("last.npz: holds other arrays")
         return whole(experiment, run, seed, resume, report)
 
     monkeypatch.setattr(reproduction, "train", reject)

@@ -40,8 +40,8 @@ def test_tables_say_whether_the_filter_knows_its_errors():
     part = Part(method="net", family="trained", training_seed=None, protocol="true", rows=given,
                 initial_error="consistent")  # fmt: skip
     found = {table.title: table for table in tables(compare([part], "net", LOWEST, 2), "true")}
-    nees = found["true, consistent first errors: NEES by cell"]
+    nees = found["true, consistent initial errors: NEES by cell"]
     low, high = stats.chi2.interval(0.95, 2 * 3 * SCENES) / np.array(3 * SCENES)
     assert nees.rows[0][2] == f"2.00 ({low:.2f} to {high:.2f}) / 1.00* / -"
-    (line,) = found["true, consistent first errors: what was seen, and whether the filter knows its errors"].rows
+    (line,) = found["true, consistent initial errors: targets seen, and consistency of the filter"].rows
     assert line[2:] == ("100%", "25.0%", "3.0", "0.20", "0.10", "0.40", "2.00", "1.00", "-", "0 of 2")

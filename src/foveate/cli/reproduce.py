@@ -127,10 +127,10 @@ def _slim(cell: str) -> str:
 def _print(study: "Study", comparisons: "list[Comparison]") -> None:
     from foveate.cli.common import print_table
     from foveate.study.publish import heading
-    from foveate.study.tables import differences, honesty, scores
+    from foveate.study.tables import consistency, differences, scores
 
     print(heading(study))
-    kinds = (scores, honesty) if study.suite == "true-view" else (scores, differences)
+    kinds = (scores, consistency) if study.suite == "true-view" else (scores, differences)
     for table in (kind(one, protocol) for one in comparisons for protocol in study.protocols for kind in kinds):
         print_table(table.title, table.header, [[_slim(cell) for cell in row] for row in table.rows])
         print(table.note)

@@ -1,4 +1,4 @@
-"""Bounds of every score: an agent that never sees anything, and the omniscient planner.
+"""Bounds of every score: never seeing anything, and the omniscient planner.
 
 normalised_score = (score - lower bound) / (omniscient - lower bound).
 """
@@ -20,7 +20,7 @@ from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene
 
 MIN_RANGE = 1e-4
-"""Least distance of the oracle from the lower bound [nat]: below it, a quotient would be one of rounding errors."""
+"""Least distance of the oracle from the lower bound [nat]: below it, rounding errors dominate the quotient."""
 
 Cell = tuple[str, int]
 """Motion, number of targets."""
@@ -40,13 +40,10 @@ def unseen_scores(problem: Problem, horizons: Sequence[int]) -> Float[np.ndarray
 def lower_bounds(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]:
     """Mean score of an agent that never sees anything [nat per target], for every cell of the scenes.
 
-    Raises ValueError for a filter that learns from missed detections: there this bounds nothing, nor do plans.
+    Raises InputError for a filter that learns from missed detections: neither this score nor that of plans bounds it.
     """
     if problem.sensor.uses_missed_detections:
-        raise InputError(
-            "sensor.missed_detections = 'used': normalised_score is of a filter that learns from measurements alone: "
-            "expected none"
-        )
+        raise InputError("sensor.missed_detections = 'used': expected none, as normalised_score has no bounds with it")
     values = zip(scenes, unseen_scores(problem, [scene.horizon for scene in scenes]), strict=True)
     cells = group_by(values, lambda pair: (pair[0].motion, len(pair[0].targets)))
     return {cell: float(np.mean([value for _, value in pairs])) for cell, pairs in cells.items()}
@@ -60,14 +57,12 @@ def normalised_score(value: float, lowest: float, highest: float) -> float:
 def with_normalised_scores(
     summary: Sequence[Summary], oracle: Sequence[Summary], lowest: Mapping[Cell, float]
 ) -> list[Summary]:
-    """Add normalised_score to summaries; null where the omniscient planner has no rows, or sees nothing itself."""
+    """Add normalised_score to summaries; None where the omniscient planner has no rows, or sees nothing itself."""
     highest = {(cell.protocol, cell.motion, cell.targets): cell.mean for cell in oracle}
-
-    def scored(cell: Summary) -> Summary:
+    result = []
+    for cell in summary:
         low = lowest[cell.motion, cell.targets]
         high = highest.get((cell.protocol, cell.motion, cell.targets), low)
-        return replace(
-            cell, normalised_score=normalised_score(cell.mean, low, high) if high - low > MIN_RANGE else None
-        )
-
-    return [scored(cell) for cell in summary]
+        score = normalised_score(cell.mean, low, high) if high - low > MIN_RANGE else None
+        result.append(replace(cell, normalised_score=score))
+    return result

@@ -1,9 +1,9 @@
-"""Comparison of methods by their rows: cells with normalised scores, each training seed, paired differences.
+"""Compare methods by their rows: cells with normalised scores, each training seed, paired differences.
 
-Scenes are independent, rows are not: a method that was trained with several seeds counts with its mean over them.
+Scenes are independent, rows are not: a method trained with several seeds counts with its mean over them.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,13 +12,13 @@ import numpy as np
 from foveate.evaluation.bounds import Cell, with_normalised_scores
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.statistics import holm, paired
-from foveate.evaluation.summary import Summary, summarise
+from foveate.evaluation.summary import Summary, scene_means, summarise
 from foveate.io.grouping import group_by
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """The rows of one method under one protocol and first error, for one training seed if it has a training."""
+    """Rows of one method under one protocol and initial error, for one training seed if the method is trained."""
 
     method: str
     family: str
@@ -29,16 +29,8 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BySeed:
-    """A cell of the policy that one training seed gave."""
-
-    training_seed: int
-    cell: Summary
-
-
-@dataclass(frozen=True, kw_only=True)
 class Difference:
-    """A method less the reference, in the same scenes of one cell [nat per target].
+    """A method minus the reference, in the same scenes of one cell [nat per target].
 
     `ci95`: Student's interval of the mean; `p`: of the signed-rank test; `p_holm`: adjusted for the cells of this
     method under this protocol.
@@ -58,7 +50,7 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class Overall:
-    """A method under a protocol: means over the cells, each counting the same; `step_time_s` of one decision."""
+    """A method under a protocol: means over the cells, each with the same weight; `step_time_s` of one decision."""
 
     method: str
     family: str
@@ -71,30 +63,32 @@ class Overall:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All that tables and figures show, for one first error of beliefs (None: the experiment's own)."""
+    """Contents of all tables and figures, for one initial error of beliefs (None: the experiment's own).
+
+    `by_seed` has the cells of each trained policy with its training seed.
+    """
 
     initial_error: str | None
     reference: str
     parts: tuple[Part, ...]
     summary: tuple[Summary, ...]
-    by_seed: tuple[BySeed, ...]
+    by_seed: tuple[tuple[int, Summary], ...]
     differences: tuple[Difference, ...]
     overall: tuple[Overall, ...]
 
 
 def compare(parts: Sequence[Part], reference: str, lowest: Mapping[Cell, float], state_size: int) -> Comparison:
-    """Compare methods, `omniscient` among them, all with the same first error; `lowest` has the cells' lower bounds."""
+    """Compare methods with the same initial error; `omniscient` is the oracle, `lowest` holds the lower bounds."""
     rows = [row for part in parts for row in part.rows]
-    plain = summarise(rows, state_size)
-    oracle = [cell for cell in plain if cell.method == "omniscient"]
-    summary = with_normalised_scores(plain, oracle, lowest)
+    cells = summarise(rows, state_size)
+    oracle = [cell for cell in cells if cell.method == "omniscient"]
+    summary = with_normalised_scores(cells, oracle, lowest)
     by_seed = [
-        BySeed(training_seed=part.training_seed, cell=cell)
+        (part.training_seed, cell)
         for part in parts
         if part.training_seed is not None
         for cell in with_normalised_scores(summarise(part.rows, state_size), oracle, lowest)
     ]
-    families = {part.method: part.family for part in parts}
     return Comparison(
         initial_error=parts[0].initial_error,
         reference=reference,
@@ -102,30 +96,25 @@ def compare(parts: Sequence[Part], reference: str, lowest: Mapping[Cell, float],
         summary=tuple(summary),
         by_seed=tuple(by_seed),
         differences=tuple(_differences(rows, reference)),
-        overall=tuple(_overall(rows, summary, families)),
+        overall=tuple(_overall(rows, summary, {part.method: part.family for part in parts})),
     )
 
 
 def _differences(rows: Sequence[Row], reference: str) -> Iterator[Difference]:
-    """Every method but the reference itself, cell by cell, in the order of the rows."""
-    cells = group_by(rows, lambda row: (row.method, row.protocol, row.motion, row.targets))
-    means = {cell: means for cell, group in cells.items() if (means := _mean_by_scene(group))}
-    for (method, protocol), family in group_by(means, lambda cell: cell[:2]).items():
+    """Differences of every method but the reference, cell by cell, in the order of the rows."""
+    scored = (row for row in rows if row.score is not None)
+    groups = group_by(scored, lambda row: (row.method, row.protocol, row.motion, row.targets))
+    means = {cell: scene_means(group) for cell, group in groups.items()}
+    for (method, protocol), cells in group_by(means, lambda cell: cell[:2]).items():
         if method == reference:
             continue
-        pairs = [(means[cell], means[(reference, *cell[1:])]) for cell in family]
+        pairs = [(means[cell], means[(reference, *cell[1:])]) for cell in cells]
         tests = [paired(list(ours.values()), [theirs[scene] for scene in ours]) for ours, theirs in pairs]
-        adjusted = holm([test.p for test in tests])
-        for cell, test, p_holm in zip(family, tests, adjusted, strict=True):
+        for cell, test, p_holm in zip(cells, tests, holm([test.p for test in tests]), strict=True):
             yield Difference(
                 method=method, reference=reference, protocol=protocol, motion=cell[2], targets=cell[3], p_holm=p_holm,
                 scenes=len(means[cell]), **asdict(test),
             )  # fmt: skip
-
-
-def _mean_by_scene(rows: Sequence[Row]) -> dict[str, float]:
-    scores = group_by(((row.scene, row.score) for row in rows if row.score is not None), lambda pair: pair[0])
-    return {scene: float(np.mean([score for _, score in pairs])) for scene, pairs in scores.items()}
 
 
 def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[str, str]) -> Iterator[Overall]:
@@ -146,21 +135,13 @@ def _overall(rows: Sequence[Row], summary: Sequence[Summary], families: Mapping[
 
 
 def as_json(comparisons: Sequence[Comparison], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Comparisons as an evaluation result: rows with training seed and first error, and what follows from them.
-
-    The first error is left out where it is the experiment's own.
-    """
-
-    def listed(records: Callable[[Comparison], Iterable[dict[str, Any]]]) -> list[dict[str, Any]]:
-        errors = [{} if one.initial_error is None else {"initial_error": one.initial_error} for one in comparisons]
-        return [record | error for one, error in zip(comparisons, errors, strict=True) for record in records(one)]
-
-    return {
-        **facts,
-        "reference": comparisons[0].reference,
-        "rows": listed(lambda one: (asdict(r) | {"training_seed": p.training_seed} for p in one.parts for r in p.rows)),
-        "summary": listed(lambda one: map(asdict, one.summary)),
-        "by_seed": listed(lambda one: ({"training_seed": s.training_seed, **asdict(s.cell)} for s in one.by_seed)),
-        "differences": listed(lambda one: map(asdict, one.differences)),
-        "overall": listed(lambda one: map(asdict, one.overall)),
-    }
+    """Comparisons as an evaluation result; each record names its initial error unless that is the experiment's own."""
+    records: dict[str, list[Any]] = {n: [] for n in ("rows", "summary", "by_seed", "differences", "overall")}
+    for comparison in comparisons:
+        error = {} if comparison.initial_error is None else {"initial_error": comparison.initial_error}
+        for part in comparison.parts:
+            records["rows"] += [asdict(row) | {"training_seed": part.training_seed} | error for row in part.rows]
+        records["by_seed"] += [{"training_seed": seed, **asdict(cell), **error} for seed, cell in comparison.by_seed]
+        for name in ("summary", "differences", "overall"):
+            records[name] += [asdict(record) | error for record in getattr(comparison, name)]
+    return {**facts, "reference": comparisons[0].reference, **records}

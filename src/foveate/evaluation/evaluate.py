@@ -21,19 +21,18 @@ from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
 
 CHUNK = 256
-"""Episodes that run side by side: bounds memory, and every suite runs the same compiled program."""
+"""Episodes in a batch: bounds memory, and every suite runs the same compiled program."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
     """One episode of one method under one protocol.
 
-    `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both null
-    without targets. `seen_fraction`: targets really measured at least once; `seen_step_fraction`: measured targets
-    among all targets of all steps; `longest_unseen_s`: the longest time any target went without a measurement.
-    `rmse_m` and `nees` (honest: the state's length) at the horizon, over the targets; also over those alone that were
-    measured at least once, and those that never were, null where there are none. `step_time_s`: one compiled decision,
-    alone, on this machine.
+    `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both None
+    without targets. `seen_fraction`: targets measured at least once; `seen_step_fraction`: measured targets among all
+    targets of all steps; `longest_unseen_s`: the longest time without a measurement of any target. `rmse_m` and `nees`
+    (consistent: the state's length) at the horizon, over all targets, over those seen and over those never seen (None
+    without such targets). `step_time_s`: a single compiled decision on this machine.
     """
 
     scene: str
@@ -59,7 +58,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Scenes with their noise, ready to run: the same for every method."""
+    """Scenes with their noise, the same for every method."""
 
     problem: Problem
     scenes: tuple[Scene, ...]
@@ -87,12 +86,12 @@ def _run(problem: Problem, policy: Policy, episodes: Episode, protocol: Protocol
 
 @jax.jit
 def _keys(key, names, runs):
-    """Keys of the policy's own randomness: as all other, from (seed, scene id, episode) alone."""
+    """Fold scene and episode into the seed's key, so that a key depends on (seed, scene id, episode) alone."""
     return jax.vmap(lambda name, run: jax.random.fold_in(jax.random.fold_in(key, name), run))(names, runs)
 
 
 def policy_keys(suite: Suite) -> jax.Array:
-    """Key of a policy's own randomness in every episode of a suite."""
+    """Keys of the policy's random numbers in every episode of a suite."""
     names = [zlib.crc32(scene.id.encode()) for scene in suite.scenes for _ in range(suite.episodes_per_scene)]
     runs = np.arange(len(names)) % suite.episodes_per_scene
     return _keys(jax.random.key(suite.seed), np.array(names, np.uint32), runs)
@@ -107,13 +106,12 @@ def evaluate_traces(
 ) -> Trace:
     """Run a policy through every episode of a suite: one trace with a leading axis of episodes, as numpy arrays.
 
-    `chunk` episodes run in one program, and one such program on each core; `report` is called with the number of
-    episodes done.
+    Each core runs batches of `chunk` episodes; `report` takes the number of completed episodes.
     """
     count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
 
     def run(first: int) -> Trace:
-        # The last chunk is filled up with the last episode: every chunk then runs the same compiled program.
+        # Copies of the last episode fill the last chunk: every chunk then runs the same compiled program.
         rows = np.minimum(np.arange(first, first + chunk), count - 1)
         trace = _run(suite.problem, policy, jax.tree.map(lambda x: x[rows], suite.episodes), protocol, keys[rows])
         return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
@@ -129,7 +127,7 @@ def evaluate_traces(
 def decision_time(
     problem: Problem, policy: Policy, episode: Episode, repeats: int = 30, with_start: bool = False
 ) -> float:
-    """Median time of one compiled decision for one agent [s], called alone and waited for.
+    """Median time of one compiled decision for one agent [s], run by itself.
 
     `with_start` adds each decision's share of the policy's start, for planners that plan there.
     """
@@ -140,14 +138,13 @@ def decision_time(
     begin = jax.jit(lambda arrays, observation: eqx.combine(arrays, static).start(observation))
     decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen))
     memory = begin(arrays, observation)
-    decision = _median_time(lambda: decide(arrays, observation, memory, key), repeats)
-    if not with_start:
-        return decision
-    return decision + _median_time(lambda: begin(arrays, observation), repeats) / int(episode.horizon)
+    decision_s = _median_time(lambda: decide(arrays, observation, memory, key), repeats)
+    start_s = _median_time(lambda: begin(arrays, observation), repeats) if with_start else 0.0
+    return decision_s + start_s / int(episode.horizon)
 
 
 def _median_time(call: Callable[[], Any], repeats: int) -> float:
-    """Median wall time of a call that is waited for [s]; a first call, which compiles, is not counted."""
+    """Median wall time of a call and its computation [s], after a first call that compiles."""
     jax.block_until_ready(call())
     times = []
     for _ in range(repeats):
@@ -172,22 +169,21 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
 
 
 def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
-    """Rows of the traces of a method, one an episode; its decisions took `step_times` [s] in each episode."""
+    """Rows of the traces of a method, one an episode; `step_times` [s] are those of a decision in each episode."""
     truth = np.asarray(suite.truth.state)
-    rows = []
-    for i, step_time in enumerate(step_times):
+
+    def row(i: int, step_time: float) -> Row:
         scene = suite.scenes[i // suite.episodes_per_scene]
-        rows.append(
-            Row(
-                scene=scene.id,
-                episode=i % suite.episodes_per_scene,
-                seed=suite.seed,
-                method=method,
-                protocol=protocol,
-                motion=scene.motion,
-                targets=len(scene.targets),
-                step_time_s=step_time,
-                **measures(suite.problem, jax.tree.map(lambda x, i=i: x[i], trace), truth[i], scene),
-            )
+        return Row(
+            scene=scene.id,
+            episode=i % suite.episodes_per_scene,
+            seed=suite.seed,
+            method=method,
+            protocol=protocol,
+            motion=scene.motion,
+            targets=len(scene.targets),
+            step_time_s=step_time,
+            **measures(suite.problem, jax.tree.map(lambda x: x[i], trace), truth[i], scene),
         )
-    return rows
+
+    return [row(i, step_time) for i, step_time in enumerate(step_times)]

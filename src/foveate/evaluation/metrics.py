@@ -1,7 +1,7 @@
 """Metrics of one episode or of many: score, shares seen, errors, and the consistency of the filter.
 
-A filter is consistent where its errors are as large as it claims: NEES, e^T Y e, is then chi-square with as many
-degrees of freedom as the state has numbers (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
+The errors of a consistent filter are as large as it claims: NEES, e^T Y e, is then chi-square with the state's length
+as degrees of freedom (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
 """
 
 import math
@@ -22,32 +22,31 @@ Z95 = 1.959963984540054
 def measures(
     problem: Problem, trace: Trace, truth: Float[np.ndarray, "instants n n_y"], scene: Scene
 ) -> dict[str, Any]:
-    """The measures of an `evaluation.Row` of one episode, padded or not."""
+    """Measure one episode, padded or not, for its `evaluation.Row`."""
     n, K, n_y = len(scene.targets), scene.horizon, problem.motion.state_size
     visible, log_det = np.asarray(trace.visible[:K, :n]), np.asarray(trace.log_det[K - 1, :n], float)
     seen = np.asarray(visible.any(axis=0))
     error = np.asarray(trace.mean[K, :n], float) - np.asarray(truth[K, :n], float)
     # Float32 would lose digits of e^T Y e: a well-seen target has an information of 1e3 and more.
     information = np.asarray(trace.information[K, :n], float)
+    squared_error = squared_position_error(error, np.asarray(problem.motion.Z, float))
     return {
         "score": float(mean_log_det(log_det, np.ones(n, bool))) if n else None,
         "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))) if n else None,
         "seen_fraction": mean_or_zero(seen),
         "seen_step_fraction": mean_or_zero(visible),
         "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max(initial=0.0)),
-        **error_measures(
-            squared_position_error(error, np.asarray(problem.motion.Z, float)), nees(error, information), seen
-        ),
+        **error_measures(squared_error, nees(error, information), seen),
     }
 
 
 def mean_or_zero(values: Float[np.ndarray, "*m"] | Bool[np.ndarray, "*m"]) -> float:
-    """Mean, or share of true values; 0 without any."""
+    """Mean, or share of true values; 0 for an empty array."""
     return float(values.sum() / max(1, values.size))
 
 
 def mean_log_det(log_det: Float[np.ndarray, "*m n"], present: Bool[np.ndarray, "*m n"]) -> Float[np.ndarray, "*m"]:
-    """Mean log det of the information of the targets present [nat], the score so far; NaN where none is."""
+    """Mean log det of the information of the targets present [nat], the score so far; NaN without targets."""
     count = present.sum(axis=-1)
     total = np.where(present, log_det, 0.0).sum(axis=-1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
@@ -68,7 +67,7 @@ def nees(error: Float[np.ndarray, "*m n_y"], information: Float[np.ndarray, "*m 
 def error_measures(
     squared_error: Float[np.ndarray, " values"], nees: Float[np.ndarray, " values"], seen: Bool[np.ndarray, " values"]
 ) -> dict[str, Any]:
-    """RMSE [m] and mean NEES of all values (0 without any), and apart of targets seen and never seen (then None)."""
+    """RMSE [m] and mean NEES of all values (0 without values), and of targets seen and never seen (None without)."""
     measures: dict[str, Any] = {"rmse_m": math.sqrt(mean_or_zero(squared_error)), "nees": mean_or_zero(nees)}
     for name, group in (("seen", seen), ("unseen", ~seen)):
         exists = bool(group.any())
@@ -78,7 +77,7 @@ def error_measures(
 
 
 def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]) -> Float[np.ndarray, " n"]:
-    """The longest run of true values in each column; each row is as long as `lengths` says."""
+    """The longest run of true values in each column, with the `lengths` of the rows."""
     longest = current = np.zeros(flags.shape[1])
     for row, length in zip(flags, lengths, strict=True):
         current = np.where(row, current + length, 0.0)
@@ -87,7 +86,7 @@ def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]
 
 
 def effective_count(weights: Float[np.ndarray, " n"] | Int[np.ndarray, " n"]) -> float:
-    """Effective sample size of a mean with these weights, (sum w)^2 / sum w^2 (Kish 1965); 1 without any."""
+    """Effective sample size of a mean with these weights, (sum w)^2 / sum w^2 (Kish 1965); 1 without weights."""
     return max(1.0, float(weights.sum())) ** 2 / max(1.0, float(np.square(weights).sum()))
 
 

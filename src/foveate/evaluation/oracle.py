@@ -1,6 +1,6 @@
-"""The omniscient planner, the oracle of every score: it knows where targets will really be, and feels no noise.
+"""The omniscient planner, the oracle of every score: it knows the true positions of targets, and has no noise.
 
-Its plans take minutes, so they are kept in the user's cache folder under a digest of what they were made for.
+Its plans take minutes, so they are kept in the user's cache folder under a digest of all that they depend on.
 """
 
 import hashlib
@@ -36,21 +36,21 @@ from foveate.simulation.records import PROTOCOLS, Episode, Protocol
 from foveate.simulation.rollout import rollout
 
 VERSION = 1
-"""Of the files that keep plans; raised, too, when the planner gives other plans than before."""
+"""Of the files of plans; raised, too, when the planner gives other plans than before."""
 
 MICRO_BATCH = 4
-"""Episodes of one size that a program plans side by side: more would not fit into a core's cache."""
+"""Episodes of one size in a batch: more would not fit into a core's cache."""
 
 OnProgress = Callable[[int], None]
-"""Takes the number of episodes that are done."""
+"""Takes the number of completed episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plans:
-    """The omniscient planner's action sequences for every episode of a suite, their scores and their cost.
+    """The omniscient planner's action sequences for every episode of a suite.
 
     `score`: of the noise-free information recursion with every target at its true position [nat per target];
-    `seconds`: wall time an episode, compiled, in the machine that planned them.
+    `seconds`: wall time an episode, compiled, on the machine that planned them.
     """
 
     action: Float[np.ndarray, "episodes K m"]
@@ -58,9 +58,14 @@ class Plans:
     seconds: Float[np.ndarray, " episodes"]
 
 
-def oracle_rows(suite: Suite, protocol: str, on_progress: OnProgress = lambda done: None) -> list[Row]:
-    """Rows of the omniscient planner at its full budget; its plans are kept in the user's cache folder."""
-    plans = omniscient(suite, protocol, OMNISCIENT[protocol], cache_folder("plans"), on_progress)
+def oracle_rows(
+    suite: Suite,
+    protocol: str,
+    on_progress: OnProgress = lambda done: None,
+    settings: PlanSettings | None = None,
+) -> list[Row]:
+    """Rows of the omniscient planner (None: at its full budget); its plans are kept in the user's cache folder."""
+    plans = omniscient(suite, protocol, settings or OMNISCIENT[protocol], cache_folder("plans"), on_progress)
     return omniscient_rows(suite, protocol, plans)
 
 
@@ -71,10 +76,7 @@ def omniscient(
     cache: Path,
     on_progress: OnProgress = lambda done: None,
 ) -> Plans:
-    """Plan every episode of a suite, or take the plans from the folder `cache`.
-
-    A file that is missing, damaged or of something else is made again; scores are computed here whatever it says.
-    """
+    """Plan every episode of a suite, or load the plans from the folder `cache`; scores are computed either way."""
     futures = jax.jit(jax.vmap(lambda episode: _future(suite.problem, episode)))(suite.episodes)
     key, shape = _key(suite, protocol, settings), (*futures.state.shape[:2], len(suite.problem.agent.axes))
 
@@ -107,11 +109,10 @@ def _scores(problem: Problem, futures: Future, actions, softness: Softness | Non
 
 
 def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
-    """Rows of the plans, driven in the real simulation; score and entropy are those of `Plans.score`.
+    """Rows of the plans, run in the simulation; score and entropy are those of `Plans.score`.
 
-    Under `true` the two scores are the same, as what is seen depends on true positions alone (as long as V does not
-    grow with the believed range); under `surrogate` the filter that really runs weighs its noisy means, which the
-    planner that feels no noise does not know.
+    Under `true` both scores are the same, as detections depend on true positions alone (unless V grows with the
+    believed range); under `surrogate` the simulated filter weighs its noisy means, which the planner does not know.
     """
     trace = _drive(suite.problem, jnp.asarray(plans.action), suite.episodes, PROTOCOLS[protocol], policy_keys(suite))
     horizons = np.asarray(suite.episodes.horizon)
@@ -130,7 +131,7 @@ def _drive(problem: Problem, actions, episodes: Episode, protocol: Protocol, key
 
 def _future(problem: Problem, episode: Episode) -> Future:
     """True positions, and information before any measurement, at every step of an episode."""
-    assert episode.truth is not None, "the future of an episode without truth is not known"
+    assert episode.truth is not None, "an episode without truth has no known future"
     first = first_information(problem, len(episode.present))
     return Future(
         pose=episode.pose,
@@ -147,22 +148,18 @@ def _solve(problem: Problem, futures: Future, settings: PlanSettings, keys) -> F
 
 def _cropped(futures: Future, rows: np.ndarray, targets: int, steps: int) -> Future:
     """The futures of these episodes without padding."""
-
-    def crop(future: Future) -> Future:
-        return replace(
-            future,
-            state=future.state[:steps, :targets],
-            information=future.information[:targets],
-            present=future.present[:targets],
-        )
-
-    return jax.vmap(crop)(jax.tree.map(lambda x: x[rows], futures))
+    return replace(
+        jax.tree.map(lambda x: x[rows], futures),
+        state=futures.state[rows, :steps, :targets],
+        information=futures.information[rows, :targets],
+        present=futures.present[rows, :targets],
+    )
 
 
 def _solve_all(
     suite: Suite, futures: Future, settings: PlanSettings, on_progress: OnProgress
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Actions and seconds of every episode. Episodes of one size share a program, so that none is padded."""
+    """Actions and seconds of every episode; those of one size share a program, so that none is padded."""
     keys = policy_keys(suite)
     action = np.zeros((*futures.state.shape[:2], len(suite.problem.agent.axes)), futures.state.dtype)
     seconds = np.zeros(len(action))
@@ -178,7 +175,7 @@ def _solve_all(
     }
 
     def arguments(size: tuple[int, int], batch: np.ndarray) -> tuple[Any, ...]:
-        rows = np.resize(batch, MICRO_BATCH)  # repeats episodes: a program has one shape
+        rows = np.resize(batch, MICRO_BATCH)  # repeats episodes, as a program has one shape
         return suite.problem, _cropped(futures, rows, *size), settings, keys[rows]
 
     solver: Any = eqx.filter_jit(_solve)
@@ -198,7 +195,7 @@ def _solve_all(
 
 
 def _key(suite: Suite, protocol: str, settings: PlanSettings) -> str:
-    """A digest of everything that plans depend on."""
+    """Digest of everything that plans depend on."""
     leaves, structure = jax.tree.flatten((suite.problem, suite.episodes.pose, suite.truth.state))
     arrays = [np.asarray(leaf) for leaf in leaves]
     words = {

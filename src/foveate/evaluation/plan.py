@@ -1,32 +1,29 @@
 """Evaluate planners on the scenes and noise of policies: receding horizon, open loop, refined policy, omniscient."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Row, prepare
-from foveate.evaluation.oracle import omniscient, omniscient_rows
+from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import WINDOW, planner, planner_rows
-from foveate.evaluation.report import Evaluation
+from foveate.evaluation.report import Evaluation, evaluation, rows_by_protocol
 from foveate.evaluation.summary import summarise
 from foveate.experiment.experiment import Experiment
-from foveate.io.files import cache_folder
-from foveate.io.progress import Bar
-from foveate.io.toml import digest
 from foveate.io.validate import check_count
 from foveate.planning.receding import OpenLoop
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
-from foveate.scenario.scenes import Scene, scenes_digest
+from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """A planner and its budget; None takes the planner's own number.
+    """A planner and its budget; None stands for the planner's default.
 
-    `refine`: steps of ascent from a policy's own sequence, in place of the planner's starts. `window`: most steps that
-    a receding-horizon plan looks ahead.
+    `refine`: steps of ascent from a policy's own actions, in place of the planner's starts. `window`: the most steps
+    that a receding-horizon plan looks ahead.
     """
 
     refine: int | None = None
@@ -42,15 +39,13 @@ class PlanOptions:
         if self.window is not None and (self.omniscient or self.open_loop):
             raise InputError(f"window {self.window}: only a receding-horizon plan has one")
         if self.omniscient and (self.open_loop or self.refine is not None):
-            raise InputError("omniscient: needs no open loop and no refinement: it knows the future")
+            raise InputError("omniscient: takes no open loop and no refinement: it knows the future")
         if self.refine is not None and (self.open_loop or self.starts is not None or self.iterations is not None):
-            raise InputError(
-                f"refine {self.refine}: begins at the policy's own sequence; no other option of plans fits"
-            )
+            raise InputError(f"refine {self.refine}: starts from the policy's actions: takes no other option of plans")
 
     @property
     def method(self) -> str:
-        """The method's name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-15."""
+        """Name in rows: icr as published, icr-16 from 16 starts, icr-open, refine-15."""
         if self.refine is not None:
             return f"refine-{self.refine}"
         starts = "" if self.starts is None else f"-{self.starts}"
@@ -60,74 +55,47 @@ class PlanOptions:
         """The planner's settings under a protocol."""
         if self.refine is not None:
             return refining(protocol, self.refine)
-        settings = OMNISCIENT[protocol] if self.omniscient else ONLINE[protocol]
-        if self.starts is None and not self.omniscient:
-            settings = PUBLISHED
+        online = PUBLISHED if self.starts is None else ONLINE[protocol]
+        settings = OMNISCIENT[protocol] if self.omniscient else online
         if self.open_loop:
             settings = replace(settings, iterations=OMNISCIENT[protocol].iterations)
-        if self.starts is not None:
-            settings = replace(settings, starts=self.starts)
-        if self.iterations is not None:
-            settings = replace(settings, iterations=self.iterations)
-        return settings
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanSuite:
-    """Scenes of an experiment with their noise, to be planned on; `policy` is the one to refine."""
-
-    experiment: Experiment
-    scenes: Sequence[Scene]
-    seed: int
-    episodes: int
-    policy: Policy | None = None
-
-    def rows(self, options: PlanOptions, protocol: str, on_progress: Callable[[int], None]) -> list[Row]:
-        """One row an episode; `on_progress` takes the number of episodes that are done."""
-        problem, settings = self.experiment.scenario.problem(), options.settings(protocol)
-        scene_settings = self.experiment.scenario.scenes
-        suite = prepare(problem, scene_settings, self.scenes, self.seed, self.episodes)
-        if options.omniscient:
-            plans = omniscient(suite, protocol, settings, cache_folder("plans"), on_progress)
-            return omniscient_rows(suite, protocol, plans)
-
-        def policy_of(horizon: int) -> Policy:
-            if options.open_loop:
-                return OpenLoop(problem, settings, horizon)
-            return planner(problem, settings, horizon, options.window or WINDOW, self.policy)
-
-        return planner_rows(suite, scene_settings, options.method, policy_of, protocol, on_progress)
+        given = {"starts": self.starts, "iterations": self.iterations}
+        return replace(settings, **{name: value for name, value in given.items() if value is not None})
 
 
 def evaluate_plans(
-    suite: PlanSuite,
+    experiment: Experiment,
     options: PlanOptions,
+    scenes: Sequence[Scene],
     chosen: str,
     facts: dict[str, Any],
     *,
     protocols: Sequence[str],
+    policy: Policy | None = None,
+    episodes: int = 1,
+    seed: int = 0,
     quiet: bool = False,
 ) -> Evaluation:
-    """Plan on every scene under each protocol: rows and summary as those of policies; `chosen` names the scenes."""
-    rows: list[Row] = []
+    """Plan on every scene under each protocol: rows and summary as those of policies.
 
-    def counting(bar: Bar, before: int) -> Callable[[int], None]:
-        return lambda done: bar.update(before + done)
+    `policy` is the one to refine, `chosen` the name of the scenes.
+    """
+    problem, scene_settings = experiment.scenario.problem(), experiment.scenario.scenes
+    suite = prepare(problem, scene_settings, scenes, seed, episodes)
 
-    with Bar("planning", len(suite.scenes) * suite.episodes * len(protocols), "episodes", quiet) as bar:
-        for protocol in protocols:
-            rows += suite.rows(options, protocol, counting(bar, len(rows)))
-    state_size = suite.experiment.scenario.problem().motion.state_size
-    made = {
-        "scenes": chosen,
-        "scenes_digest": scenes_digest(suite.scenes),
-        "experiment": digest(suite.experiment),
-        "seed": suite.seed,
-    }
-    return Evaluation(
-        title=f"plans on {chosen}: score per target [nat], {suite.episodes} episode(s) a scene",
-        facts={**made, **facts, **asdict(options)},
-        rows=tuple(rows),
-        summary=tuple(summarise(rows, state_size)),
-        scenes=tuple(suite.scenes),
-    )
+    def rows_of(protocol: str, on_progress: OnProgress) -> list[Row]:
+        settings = options.settings(protocol)
+        if options.omniscient:
+            return oracle_rows(suite, protocol, on_progress, settings)
+
+        def policy_of(horizon: int) -> Policy:
+            if options.open_loop:
+                return OpenLoop(problem, settings, horizon)
+            return planner(problem, settings, horizon, options.window or WINDOW, policy)
+
+        return planner_rows(suite, scene_settings, options.method, policy_of, protocol, on_progress)
+
+    rows = rows_by_protocol("planning", len(scenes) * episodes, protocols, rows_of, quiet)
+    summary = summarise(rows, problem.motion.state_size)
+    facts = {"scenes": chosen, **facts, **asdict(options)}
+    return evaluation(f"plans on {chosen}", facts, experiment, suite, rows, summary)

@@ -21,7 +21,7 @@ MICRO_BATCH = 16
 """Episodes of one size that run side by side."""
 
 WINDOW = 30
-"""Most steps that an online plan looks ahead, unless another number is given."""
+"""Default of the most steps that an online plan looks ahead."""
 
 Size = tuple[int, int]
 """Number of targets, number of steps."""
@@ -30,7 +30,7 @@ Size = tuple[int, int]
 def planner(
     problem: Problem, settings: PlanSettings, horizon: int, window: int = WINDOW, policy: Policy | None = None
 ) -> Receding:
-    """The receding-horizon planner for episodes of `horizon` steps; with a policy, one that refines it."""
+    """Make the receding-horizon planner for episodes of `horizon` steps; with a policy, it refines that one's plan."""
     return Receding(
         problem=problem, settings=settings, window=min(window, horizon), horizon=jnp.array(horizon), policy=policy
     )
@@ -46,9 +46,9 @@ def planner_rows(
 ) -> list[Row]:
     """Run a planner on a suite: one row an episode, in the order of the scenes.
 
-    `settings` are those that the suite was prepared with; `policy_of` gives the planner for episodes of a number of
-    steps: scenes of one size share a program, so that no planner plans for padding. `on_progress` takes the number of
-    episodes that are done. `step_time_s` is that of the largest size, as for a policy in an evaluation.
+    `settings` are those of the suite; `policy_of` makes the planner for a number of steps: scenes of one size share a
+    program, so that no planner plans for padding. `on_progress` takes the number of completed episodes. `step_time_s`
+    is that of the largest size, as for a policy in an evaluation.
     """
     sizes = group_by(suite.scenes, lambda scene: (len(scene.targets), scene.horizon))
     episodes = suite.episodes_per_scene

@@ -1,13 +1,14 @@
-"""Evaluate policies and report: rows and summary as a table, as records, as JSON."""
+"""Evaluate policies and report rows and summary: as a table, as records, as JSON."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
 from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
-from foveate.evaluation.oracle import oracle_rows
+from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.summary import Summary, summarise, write_result
 from foveate.experiment.experiment import Experiment
 from foveate.io.progress import Bar
@@ -22,7 +23,7 @@ class Evaluation:
     """Results of methods on the same scenes with the same noise.
 
     `rows`: one an episode (see `Row`). `summary`: one a cell, that is a method, a protocol, a motion and a number of
-    targets (see `Summary`). `scenes`: those that were run.
+    targets (see `Summary`). `scenes`: those of the rows.
     """
 
     title: str
@@ -62,13 +63,11 @@ def evaluate_all(
 ) -> Evaluation:
     """Run every policy, by its method's name, on the same scenes with the same noise, under each protocol.
 
-    With `normalised`, plan for the omniscient planner too: that takes minutes, once.
-
-    Raises:
-        InputError: `normalised` for a problem that has no omniscient planner.
+    With `normalised`, run the omniscient planner too: that takes minutes, once. Raises InputError for a problem that
+    it does not bound.
     """
     problem = experiment.scenario.problem()
-    # First, as it rejects a problem that has no bounds before anything long begins.
+    # Before anything long begins, as it rejects problems without bounds.
     lower = lower_bounds(problem, scenes) if normalised else {}
     suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes)
     rows: list[Row] = []
@@ -78,60 +77,63 @@ def evaluate_all(
             rows += evaluate(suite, name, policy, protocols)
     summary = summarise(rows, problem.motion.state_size)
     if normalised:
-        oracle = summarise(_oracle(suite, protocols, quiet), problem.motion.state_size)
-        summary = with_normalised_scores(summary, oracle, lower)
-    facts = {
-        **facts,
-        "experiment": digest(experiment),
-        "initial_error": experiment.scenario.scenes.initial_error,
-        "scenes_digest": scenes_digest(scenes),
-        "seed": seed,
-    }
+        count = len(scenes) * episodes
+        oracle = rows_by_protocol("omniscient plans", count, protocols, partial(oracle_rows, suite), quiet)
+        summary = with_normalised_scores(summary, summarise(oracle, problem.motion.state_size), lower)
+    facts = {**facts, "initial_error": experiment.scenario.scenes.initial_error}
+    return evaluation(title, facts, experiment, suite, rows, summary)
+
+
+def evaluation(
+    title: str, facts: dict[str, Any], experiment: Experiment, suite: Suite, rows: list[Row], summary: list[Summary]
+) -> Evaluation:
+    """Make the record of an evaluation, with the facts of its origin."""
+    origin = {"experiment": digest(experiment), "scenes_digest": scenes_digest(suite.scenes), "seed": suite.seed}
     return Evaluation(
-        title=f"{title}: score per target [nat], {episodes} episode(s) a scene",
-        facts=facts,
+        title=f"{title}: score per target [nat], {suite.episodes_per_scene} episode(s) a scene",
+        facts={**facts, **origin},
         rows=tuple(rows),
         summary=tuple(summary),
         scenes=suite.scenes,
     )
 
 
-def _oracle(suite: Suite, protocols: Sequence[str], quiet: bool) -> list[Row]:
-    """Rows of the omniscient planner."""
+def rows_by_protocol(
+    label: str, count: int, protocols: Sequence[str], rows_of: Callable[[str, OnProgress], list[Row]], quiet: bool
+) -> list[Row]:
+    """Call `rows_of`, which returns `count` rows of a protocol, for each protocol, with a progress bar."""
     rows: list[Row] = []
-
-    def progress(bar: Bar, before: int) -> Callable[[int], None]:
-        return lambda done: bar.update(before + done)
-
-    total = len(suite.scenes) * suite.episodes_per_scene * len(protocols)
-    with Bar("omniscient plans", total, "episodes", quiet) as bar:
-        for protocol in protocols:
-            rows += oracle_rows(suite, protocol, progress(bar, len(rows)))
+    with Bar(label, count * len(protocols), "episodes", quiet) as bar:
+        for i, protocol in enumerate(protocols):
+            rows += rows_of(protocol, lambda done, before=i * count: bar.update(before + done))
     return rows
 
 
+COLUMNS: dict[str, Callable[[Summary], str]] = {
+    "method": lambda cell: cell.method,
+    "protocol": lambda cell: cell.protocol,
+    "motion": lambda cell: cell.motion,
+    "targets": lambda cell: str(cell.targets),
+    "score": lambda cell: f"{cell.mean:.2f}",
+    "95 % interval": lambda cell: f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
+    "std": lambda cell: f"{cell.std:.2f}",
+    "seen": lambda cell: f"{cell.seen_fraction:.0%}",
+    "of the time": lambda cell: f"{cell.seen_step_fraction:.0%}",
+    "longest unseen [s]": lambda cell: f"{cell.longest_unseen_s:.1f}",
+    "rmse [m]": lambda cell: f"{cell.rmse_m:.2f}",
+    "nees (band)": lambda cell: f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
+    "seen, never seen": lambda cell: f"{_number(cell.nees_seen, 1)}, {_number(cell.nees_unseen, 1)}",
+    "normalised": lambda cell: _number(cell.normalised_score, 3),
+}
+"""Text of every column of `summary_table`."""
+
+
 def summary_table(title: str, summary: Sequence[Summary]) -> Table:
-    """Summary as a table, one line a cell."""
-    header = ("method", "protocol", "motion", "targets", "score", "95 % interval", "std", "seen", "of the time")
-    normalised = ("normalised",) * any(cell.normalised_score is not None for cell in summary)
-    rows = [
-        (
-            cell.method,
-            cell.protocol,
-            cell.motion,
-            str(cell.targets),
-            f"{cell.mean:.2f}",
-            f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
-            f"{cell.std:.2f}",
-            f"{cell.seen_fraction:.0%}",
-            f"{cell.seen_step_fraction:.0%}",
-            f"{cell.longest_unseen_s:.1f}",
-            f"{cell.rmse_m:.2f}",
-            f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
-            ", ".join("-" if nees is None else f"{nees:.1f}" for nees in (cell.nees_seen, cell.nees_unseen)),
-            *("-" if cell.normalised_score is None else f"{cell.normalised_score:.3f}" for _ in normalised),
-        )
-        for cell in summary
-    ]
-    columns = (*header, "longest not [s]", "rmse [m]", "nees (band)", "seen, never seen", *normalised)
-    return Table(title=title, header=columns, rows=tuple(rows))
+    """Summary as a table, one line a cell; the normalised score only if there is one."""
+    is_normalised = any(cell.normalised_score is not None for cell in summary)
+    header = tuple(name for name in COLUMNS if is_normalised or name != "normalised")
+    return Table(title=title, header=header, rows=tuple(tuple(COLUMNS[n](cell) for n in header) for cell in summary))
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,4 +1,4 @@
-"""Intervals of means and paired comparisons; the values given are taken as independent (scenes, not episodes)."""
+"""Intervals of means and paired comparisons of independent values (scenes, not episodes)."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class Paired:
 
 
 def mean_interval(values: Values) -> tuple[float, float]:
-    """Student's 95 % interval of the mean of independent values; of a single one, which has no spread, itself."""
+    """Student's 95 % interval of the mean of independent values; a single value is its own interval."""
     data = np.asarray(values, float)
     count, mean = len(data), float(np.mean(data))
     if count < 2:
@@ -34,7 +34,7 @@ def mean_interval(values: Values) -> tuple[float, float]:
 
 
 def paired(first: Values, second: Values) -> Paired:
-    """How much larger `first` is than `second`, pair by pair.
+    """Compare `first` minus `second`, pair by pair.
 
     The test is Wilcoxon's signed-rank test: scores of scenes are skewed (one target that is never seen costs many
     nats), which a test of ranks tolerates better than one of the mean.
@@ -42,13 +42,13 @@ def paired(first: Values, second: Values) -> Paired:
     from scipy.stats import wilcoxon  # half a second to import
 
     difference = np.asarray(first, float) - np.asarray(second, float)
-    tested: Any = wilcoxon(difference) if np.any(difference) else None
-    p = 1.0 if tested is None else float(tested.pvalue)
+    test: Any = wilcoxon
+    p = float(test(difference).pvalue) if np.any(difference) else 1.0
     return Paired(mean=float(difference.mean()), ci95=mean_interval(difference), p=p)
 
 
 def holm(p_values: Values) -> list[float]:
-    """p values of a family of tests, adjusted so that one false alarm among all is as rare as each says (Holm 1979)."""
+    """Adjust the p values of a family of tests, so that they bound the chance of any false alarm (Holm 1979)."""
     p = np.asarray(p_values, float)
     order = np.argsort(p, kind="stable")
     raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))

@@ -1,4 +1,4 @@
-"""Summarise rows of episodes: one summary for each method, protocol, motion and number of targets."""
+"""Summarise rows of episodes: one summary a method, protocol, motion and number of targets."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -18,6 +18,9 @@ from foveate.io.provenance import provenance
 VERSION = 1
 """Version of the files of evaluations."""
 
+MEANS = ("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees")
+"""Fields of a summary that are means of the same fields of rows."""
+
 Band = tuple[float, float]
 
 
@@ -26,10 +29,10 @@ class Summary:
     """One cell: a method, a protocol, a motion, a number of targets.
 
     `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
-    holds 95 % of such means if the filter's covariance is right. For targets seen and targets never seen, `rmse_.._m`
-    is the mean over the episodes that have some, `nees_..` the mean over all these targets; null where there are
-    none. `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
-    planner's score (1); null where that was not asked for.
+    holds 95 % of such means if the filter is consistent. For targets seen and targets never seen, `rmse_.._m` is the
+    mean over the episodes that have some, `nees_..` the mean over all these targets; None without such targets.
+    `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
+    planner's score (1); None unless requested.
     """
 
     method: str
@@ -56,25 +59,26 @@ class Summary:
 
 
 def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
-    """Summarise each cell, in the order in which cells first appear; scenes without targets are left out."""
+    """Summarise each cell, in order of first appearance, without the scenes that have no targets."""
     scored = [row for row in rows if row.score is not None]
     cells = group_by(scored, lambda row: (row.method, row.protocol, row.motion, row.targets))
     return [_summary(group, state_size) for group in cells.values()]
 
 
-def _summary(rows: Sequence[Row], state_size: int) -> Summary:
-    def mean(name: str) -> float:
-        return float(np.mean([getattr(row, name) for row in rows]))
+def scene_means(rows: Sequence[Row]) -> dict[str, float]:
+    """Mean score of each scene [nat per target]: its episodes share a layout, so only scenes are independent."""
+    scenes = group_by(rows, lambda row: row.scene)
+    return {scene: float(np.mean(np.array([row.score for row in group], float))) for scene, group in scenes.items()}
 
+
+def _summary(rows: Sequence[Row], state_size: int) -> Summary:
     scores = np.array([row.score for row in rows], float)
     first = rows[0]
-    # Episodes of one scene share its layout: only scenes are independent samples.
-    scenes = group_by(zip(rows, scores.tolist(), strict=True), lambda pair: pair[0].scene)
-    means = np.array([np.mean([score for _, score in pairs]) for pairs in scenes.values()])
     # Rows of several training seeds share their noise: for the width of NEES bands they count as one.
     share = len({(row.scene, row.episode) for row in rows}) / len(rows)
-    nees_seen, nees_seen_band = _group_nees(rows, "seen", share, state_size)
-    nees_unseen, nees_unseen_band = _group_nees(rows, "unseen", share, state_size)
+    measures: dict[str, Any] = {name: _mean(rows, name) for name in MEANS}
+    for group in ("seen", "unseen"):
+        measures[f"nees_{group}"], measures[f"nees_{group}_band"] = _group_nees(rows, group, share, state_size)
     return Summary(
         method=first.method,
         protocol=first.protocol,
@@ -82,31 +86,21 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
         targets=first.targets,
         mean=float(scores.mean()),
         std=float(scores.std(ddof=1)) if len(scores) > 1 else 0.0,
-        ci95=mean_interval(means),
-        seen_fraction=mean("seen_fraction"),
-        seen_step_fraction=mean("seen_step_fraction"),
-        longest_unseen_s=mean("longest_unseen_s"),
-        rmse_m=mean("rmse_m"),
-        rmse_seen_m=_group_mean(rows, "rmse_seen_m"),
-        rmse_unseen_m=_group_mean(rows, "rmse_unseen_m"),
-        nees=mean("nees"),
+        ci95=mean_interval(list(scene_means(rows).values())),
         nees_band=chi_square_band(state_size, first.targets * share * len(rows)),
-        nees_seen=nees_seen,
-        nees_seen_band=nees_seen_band,
-        nees_unseen=nees_unseen,
-        nees_unseen_band=nees_unseen_band,
         episodes=len(rows),
+        **measures,
     )
 
 
-def _group_mean(rows: Sequence[Row], name: str) -> float | None:
-    """Mean over the rows that have this measure; None where none has."""
+def _mean(rows: Sequence[Row], name: str) -> float | None:
+    """Mean over the rows that have this measure; None if none has."""
     values = [value for row in rows if (value := getattr(row, name)) is not None]
     return float(np.mean(values)) if values else None
 
 
 def _group_nees(rows: Sequence[Row], group: str, share: float, state_size: int) -> tuple[float | None, Band | None]:
-    """Mean NEES of all targets of a group ("seen" or "unseen"), and its band; only a `share` of them is independent."""
+    """Mean NEES of all targets of a group ("seen" or "unseen"), and its band: a `share` of them is independent."""
     pairs = [(row, value) for row in rows if (value := getattr(row, f"nees_{group}")) is not None]
     if not pairs:
         return None, None
@@ -119,16 +113,15 @@ def _group_nees(rows: Sequence[Row], group: str, share: float, state_size: int) 
 def write_result(
     path: str | Path, rows: Sequence[Row], summary: Sequence[Summary], facts: Mapping[str, Any] = MappingProxyType({})
 ) -> None:
-    """Write an evaluation as JSON: rows, summary, and the facts they were made with."""
+    """Write an evaluation as JSON: rows, summary, and the facts of its origin."""
     content = {"rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
     write_document(path, "evaluation", VERSION, {**provenance(), **facts, **content})
 
 
 def read_result(path: str | Path) -> tuple[list[Row], dict[str, Any]]:
-    """Read the rows of an evaluation and the facts they were made with.
+    """Read the rows of an evaluation and the facts of its origin.
 
-    Raises:
-        InputError: a file that is missing, cut, damaged, newer, or something else.
+    Raises InputError for a file that is missing, cut, damaged, newer, or something else.
     """
     content = read_document(path, "evaluation", VERSION, "result of foveate evaluate")
     try:

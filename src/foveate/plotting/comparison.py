@@ -11,26 +11,14 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullForma
 
 from foveate.errors import InputError
 from foveate.experiment.run_folder import Validation
+from foveate.plotting import scene
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.figures import COLUMNS, WIDTH
-from foveate.plotting.scene import (
-    BLACK,
-    BLUE,
-    CYCLE,
-    GREY,
-    PALE,
-    VERMILLION,
-    PlanarScene,
-    clean,
-    limits,
-    new_figure,
-    save,
-)
 
 GRID = 200
 """Points along a mean curve."""
 
-DUEL = (BLUE, VERMILLION)
+DUEL = (scene.BLUE, scene.VERMILLION)
 """Colours of two methods in the same scene."""
 
 Curves = tuple[str, Sequence[Sequence[Validation]]]
@@ -43,21 +31,20 @@ LEARNING_AXES: dict[str, Callable[[Validation], float]] = {
 
 
 def learning_curves(learners: Mapping[str, Curves], path: Path) -> None:
-    """Held-out score against environment steps and against time; the mean over seeds, in a band from worst to best.
+    """Draw held-out score against environment steps and wall time: mean over seeds, in a band from worst to best.
 
-    Learners, by name, whose scores are of different protocols have panels one below the other. Raises ValueError for
-    none.
+    One row of panels for each protocol of the learners' scores. Raises InputError without learners.
     """
     if not learners:
         raise InputError("no learner to draw: expected at least one")
     protocols = list(dict.fromkeys(protocol for protocol, _ in learners.values()))
-    figure = new_figure(WIDTH, 0.5 + 3.1 * len(protocols))
+    figure = scene.new_figure(WIDTH, 0.5 + 3.1 * len(protocols))
     panels = figure.subplots(len(protocols), 2, squeeze=False, sharey="row")
-    colors = dict(zip(learners, CYCLE * len(learners), strict=False))
+    colors = dict(zip(learners, scene.CYCLE * len(learners), strict=False))
     for row, protocol in zip(panels, protocols, strict=True):
         for axes, (label, x_of) in zip(row, LEARNING_AXES.items(), strict=True):
-            for name, (of_learner, runs) in learners.items():
-                if of_learner == protocol:
+            for name, (own_protocol, runs) in learners.items():
+                if own_protocol == protocol:
                     _mean_curve(axes, runs, x_of, colors[name])
             log_axis(axes)
             tidy(axes, label)
@@ -67,13 +54,13 @@ def learning_curves(learners: Mapping[str, Curves], path: Path) -> None:
         for name, (_, runs) in learners.items()
     ]
     figure.legend(handles=entries, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    save(figure, path)
+    scene.save(figure, path)
 
 
 def _mean_curve(
     axes: Axes, runs: Sequence[Sequence[Validation]], x_of: Callable[[Validation], float], color: str
 ) -> None:
-    """Where all runs have a value: their mean, and a band from the lowest to the highest."""
+    """Draw the mean of all runs and a band from the lowest to the highest, over the range that they share."""
     across = [np.array([x_of(validation) for validation in run]) for run in runs]
     scores = [np.array([validation.held_out for validation in run], float) for run in runs]
     first, last = max(x[0] for x in across), min(x[-1] for x in across)
@@ -84,7 +71,7 @@ def _mean_curve(
 
 
 def log_axis(axes: Axes, subs: Sequence[float] = (1.0, 2.0, 5.0), right: float = 1.6) -> None:
-    """A logarithmic x axis with plain numbers, wide enough that there are some."""
+    """Make the x axis logarithmic, with plain numbers at `subs` times powers of ten and room on the `right`."""
     low, high = axes.dataLim.intervalx
     axes.set_xscale("log")
     axes.set_xlim(low / 1.6, high * right)
@@ -94,24 +81,24 @@ def log_axis(axes: Axes, subs: Sequence[float] = (1.0, 2.0, 5.0), right: float =
 
 
 def tidy(axes: Axes, label: str) -> None:
-    """Grid, quiet frame, and a label of the x axis."""
-    axes.grid(color=PALE, lw=0.6)
-    clean(axes, 9.0)
+    """Set the grid, a quiet frame, and the label of the x axis."""
+    axes.grid(color=scene.PALE, lw=0.6)
+    scene.clean(axes, 9.0)
     axes.set_xlabel(label, fontsize=9.5)
 
 
 def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[EpisodeData, EpisodeData]], path: Path) -> None:
-    """Two methods in the same scenes, a row each: the start, a third, two thirds and the end.
+    """Draw two methods in the same scenes, a row each: the start, a third, two thirds and the end.
 
-    Each method has one colour: path, view (triangle), and the 95 % ellipses about its believed means, solid where it
-    measures at that instant, dashed where not. Targets are squares. Raises ValueError for no scene.
+    Each method has one colour: path, view (triangle), and the 95 % ellipses of its beliefs, solid if it measures the
+    target at that instant, else dashed. Targets are squares. Raises InputError without scenes.
     """
     if not scenes:
         raise InputError("no scene to draw: expected at least one")
-    figure = new_figure(WIDTH, (WIDTH / COLUMNS + 0.45) * len(scenes) + 0.35)
+    figure = scene.new_figure(WIDTH, (WIDTH / COLUMNS + 0.45) * len(scenes) + 0.35)
     rows = figure.subfigures(len(scenes), 1, squeeze=False)[:, 0]
     for row, pair in zip(rows, scenes, strict=True):
-        first, box = pair[0], limits(pair)
+        first, box = pair[0], scene.limits(pair)
         scores = ["" if data.score is None else f"{data.score:.2f}" for data in pair]
         results = "   ".join(f"{name} {score}" for name, score in zip(names, scores, strict=True))
         title = f"{first.targets} targets: {results}"
@@ -119,16 +106,17 @@ def duel_figure(names: tuple[str, str], scenes: Sequence[tuple[EpisodeData, Epis
         for column in range(COLUMNS):
             instant = round(first.steps * column / (COLUMNS - 1))
             axes = row.add_subplot(1, COLUMNS, column + 1)
-            drawn = [PlanarScene(axes, data, box, tint=tint) for data, tint in zip(pair, DUEL, strict=True)]
+            drawn = [scene.PlanarScene(axes, data, box, tint=tint) for data, tint in zip(pair, DUEL, strict=True)]
             for each in drawn:
                 each.show(SUBSTEPS * instant)
             drawn[0].label(8.0, x=row is rows[-1], y=column == 0)
             axes.set_title(f"t = {first.times_s[instant]:g} s", fontsize=8.5, pad=3)
+    black, grey = scene.BLACK, scene.GREY
     entries = [
         *(Line2D([], [], color=color, lw=2, label=name) for name, color in zip(names, DUEL, strict=True)),
-        Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target, its track"),
-        Patch(facecolor=PALE, edgecolor=BLACK, lw=1.3, label="belief (95 %), seen now"),
-        Patch(facecolor="white", edgecolor=BLACK, ls=(0, (3, 2)), label="not seen now"),
+        Line2D([], [], color=grey, marker="s", ms=4, mfc=black, mec=black, lw=0.9, label="target, its track"),
+        Patch(facecolor=scene.PALE, edgecolor=black, lw=1.3, label="belief (95 %), seen now"),
+        Patch(facecolor="white", edgecolor=black, ls=(0, (3, 2)), label="not seen now"),
     ]
     figure.legend(handles=entries, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
-    save(figure, path)
+    scene.save(figure, path)

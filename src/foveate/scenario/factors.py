@@ -25,13 +25,12 @@ class Factor:
 
     @property
     def nominal(self) -> float:
-        """First of the values within the range in training."""
-        low, high = self.trained
-        return next(value for value in self.values if low <= value <= high)
+        """The first of the values within the range of training."""
+        return next(value for value in self.values if self.trained[0] <= value <= self.trained[1])
 
 
 def _set(part: str, *names: str, scale: float = 1.0) -> Callable[[Scenario, float], Scenario]:
-    """Return a change that sets these fields of a part of the scenario to `scale` times the value."""
+    """Return a change that sets these fields of a part of the scenario to the value times `scale`."""
 
     def change(scenario: Scenario, value: float) -> Scenario:
         settings = getattr(scenario, part)

@@ -1,8 +1,9 @@
-"""Figures of a comparison: score against time, score against what differs from training."""
+"""Figures of a comparison: score against decision time, score against factors that differ from training."""
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,31 +22,33 @@ from foveate.scenario.factors import Factor
 from foveate.study.robustness import ORACLE, Verdict
 
 HALO = withStroke(linewidth=2.5, foreground="white")
-"""Keeps a label legible that a line runs through."""
+"""Keeps a label legible on a line."""
 
 PANEL_POINTS = 260.0
-"""Height of a panel of the Pareto figure, nearly."""
+"""Approximate height of a panel of the Pareto figure."""
 
-FAMILIES = {
-    "trained": (BLUE, "o"), "trained, refined": (PURPLE, "D"),
-    "planned": (GREEN, "s"), "made by hand": (VERMILLION, "^"),
-}  # fmt: skip
-"""Colour and marker of a family of methods; another one is black."""
+FAMILIES: dict[str, dict[str, Any]] = {
+    "trained": {"color": BLUE, "marker": "o"},
+    "trained, refined": {"color": PURPLE, "marker": "D"},
+    "planned": {"color": GREEN, "marker": "s"},
+    "heuristic": {"color": VERMILLION, "marker": "^"},
+}
+OTHER_FAMILY: dict[str, Any] = {"color": BLACK, "marker": "o"}
 
 STYLES = ((BLUE, "o", "-"), (VERMILLION, "^", "-"), (GREEN, "s", "-"), (PURPLE, "D", "-"), (ORANGE, "v", "-"))
-"""Colour, marker and line of the methods under changed factors, in the order in which they are given."""
+"""Colour, marker and line of the methods under changed factors, in their order."""
 
 DASHED = (BLACK, "", "--")
 
 
 def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
-    """Score against the time of a decision, a panel a protocol; a line along those that nobody beats in both.
+    """Draw score against decision time, a panel a protocol, with the Pareto front.
 
-    The omniscient planner, which decides with what nobody can know, is a dashed line. Raises ValueError for no method.
+    The omniscient planner, which needs the future, is a dashed line. Raises InputError without methods.
     """
     if not overall:
         raise InputError("no method to draw: expected at least one")
-    protocols = group_by(overall, lambda one: one.protocol)
+    protocols = group_by(overall, lambda method: method.protocol)
     figure = new_figure(WIDTH, 4.6)
     panels = figure.subplots(1, len(protocols), squeeze=False, sharey=True)[0]
     for axes, (protocol, methods) in zip(panels, protocols.items(), strict=True):
@@ -58,11 +61,9 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
             )  # fmt: skip
         axes.set_title(f"{protocol} score", fontsize=10, fontweight="bold", loc="left")
     panels[0].set_ylabel("score [nat per target], mean over cells", fontsize=9.5)
-    entries = []
-    for family in dict.fromkeys(one.family for one in overall if one.family != "omniscient"):
-        color, marker = FAMILIES.get(family, (BLACK, "o"))
-        entries.append(Line2D([], [], color=color, ls="none", marker=marker, ms=6, label=family))
-    entries.append(Line2D([], [], color=GREY, lw=1.2, label="nobody faster scores more"))
+    families = dict.fromkeys(method.family for method in overall if method.family != "omniscient")
+    entries = [Line2D([], [], ls="none", ms=6, label=name, **FAMILIES.get(name, OTHER_FAMILY)) for name in families]
+    entries.append(Line2D([], [], color=GREY, lw=1.2, label="Pareto front"))
     figure.legend(handles=entries, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
     save(figure, path)
 
@@ -70,34 +71,40 @@ def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
 def pareto_front(overall: Sequence[Overall]) -> list[Overall]:
     """Methods that score more than all that decide as fast or faster, fastest first."""
     front: list[Overall] = []
-    for one in sorted(overall, key=lambda one: (one.step_time_s, -one.mean)):
-        if not front or one.mean > front[-1].mean:
-            front.append(one)
+    for method in sorted(overall, key=lambda method: (method.step_time_s, -method.mean)):
+        if not front or method.mean > front[-1].mean:
+            front.append(method)
     return front
 
 
 def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     front = pareto_front(overall)
-    axes.step([1e3 * one.step_time_s for one in front], [one.mean for one in front], where="post", color=GREY, lw=1.2)
-    for one in overall:
-        color, marker = FAMILIES.get(one.family, (BLACK, "o"))
-        axes.plot(1e3 * one.step_time_s, one.mean, color=color, marker=marker, ms=6, mec="white", mew=0.6, zorder=5)
+    axes.step(
+        [1e3 * method.step_time_s for method in front],
+        [method.mean for method in front],
+        where="post",
+        color=GREY,
+        lw=1.2,
+    )
+    for method in overall:
+        style = FAMILIES.get(method.family, OTHER_FAMILY)
+        axes.plot(1e3 * method.step_time_s, method.mean, ms=6, mec="white", mew=0.6, zorder=5, **style)
     tidy(axes, "time of a decision [ms]")
     axes.margins(y=0.08)
     low, high = axes.get_ylim()
     log_axis(axes, (1.0,), right=4.0)
-    for one, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
+    for method, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
         label = axes.annotate(
-            one.method, (1e3 * one.step_time_s, one.mean), (6, (height - one.mean) / (high - low) * PANEL_POINTS),
+            method.method, (1e3 * method.step_time_s, method.mean), (6, (height - method.mean) / (high - low) * PANEL_POINTS),
             textcoords="offset points", fontsize=8, va="center", zorder=4, path_effects=[HALO],
         )  # fmt: skip
         label.set_in_layout(False)
 
 
 def _spread_labels(overall: Sequence[Overall], least: float) -> list[float]:
-    """Heights of labels beside their points: where points are near in time, pushed up until none covers another."""
+    """Heights of labels beside their points, pushed up where points of about the same time would share them."""
     order = sorted(range(len(overall)), key=lambda i: overall[i].mean)
-    heights = [one.mean for one in overall]
+    heights = [method.mean for method in overall]
     for rank, i in enumerate(order):
         for j in order[:rank]:
             near = abs(math.log(overall[i].step_time_s / overall[j].step_time_s)) < math.log(4.0)
@@ -109,17 +116,17 @@ def _spread_labels(overall: Sequence[Overall], least: float) -> list[float]:
 def robustness_figure(
     factors: Sequence[Factor], verdicts: Mapping[str, Sequence[Verdict]], path: Path, label: str
 ) -> None:
-    """Mean score with its 95 % interval against each factor; `label` names the score.
+    """Draw mean score with its 95 % interval against each factor; `label` names the score.
 
     `verdicts` are by the factor's name. The omniscient planner is a dashed line, the lower bound a dotted one, and the
-    range of training a grey band. All panels share the score's axis. Raises ValueError for no factor.
+    range of training a grey band. Raises InputError without factors.
     """
     if not factors:
         raise InputError("no factor to draw: expected at least one")
     rows, columns = -(-len(factors) // COLUMNS), min(COLUMNS, len(factors))
     figure = new_figure(WIDTH, 2.35 * rows + 0.5)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    names = dict.fromkeys(one.method for factor in factors for one in verdicts[factor.name])
+    names = dict.fromkeys(verdict.method for factor in factors for verdict in verdicts[factor.name])
     styles = {**dict(zip((n for n in names if n != ORACLE), STYLES * len(names), strict=False)), ORACLE: DASHED}
     for axes, factor in zip(panels.flat, factors, strict=False):
         _panel(axes, factor, verdicts[factor.name], styles)
@@ -131,7 +138,7 @@ def robustness_figure(
     for name in names:
         color, marker, line = styles[name]
         entries.append(Line2D([], [], color=color, marker=marker, ls=line, lw=1.6, ms=5, label=name))
-    entries.append(Line2D([], [], color=GREY, ls=":", lw=1.4, label="never sees anything"))
+    entries.append(Line2D([], [], color=GREY, ls=":", lw=1.4, label="lower bound"))
     entries.append(Patch(facecolor=PALE, label="as in training"))
     figure.legend(handles=entries, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
     save(figure, path)
@@ -139,21 +146,21 @@ def robustness_figure(
 
 def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapping[str, tuple[str, str, str]]) -> None:
     values = np.array(factor.values)
-    # Where neighbours differ by the same factor, so do ticks; panels whose values are evenly spaced stay linear.
+    # Evenly spaced values have a linear axis, geometric ones a logarithmic axis: ticks are evenly spaced on both.
     is_even = np.allclose(np.diff(values, 2), 0.0)
     axes.set_xscale("linear" if is_even else "log")
     steps = np.diff(values) if is_even else values[1:] / values[:-1]
-    gap = steps[0] if len(steps) else values[0]  # of a single value: as wide as it is large
+    gap = steps[0] if len(steps) else values[0]  # a single value has a gap of its own size
     low, high = factor.trained
     band = (low - 0.12 * gap, high + 0.12 * gap) if is_even else (low / gap**0.12, high * gap**0.12)
     axes.axvspan(*band, color=PALE, lw=0, zorder=0)
-    for method, ours in group_by(verdicts, lambda one: one.method).items():
+    for method, ours in group_by(verdicts, lambda verdict: verdict.method).items():
         color, marker, line = styles[method]
-        x, mean = [one.value for one in ours], np.array([one.mean for one in ours])
-        bars = None if method == ORACLE else np.abs(np.array([one.ci95 for one in ours]).T - mean)
+        x, mean = [verdict.value for verdict in ours], np.array([verdict.mean for verdict in ours])
+        bars = None if method == ORACLE else np.abs(np.array([verdict.ci95 for verdict in ours]).T - mean)
         axes.errorbar(x, mean, bars, color=color, marker=marker, ls=line, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2)
-    floors = {one.value: one.floor for one in verdicts}
-    axes.plot(list(floors), list(floors.values()), color=GREY, ls=":", lw=1.4)
+    lower_bounds = {verdict.value: verdict.floor for verdict in verdicts}
+    axes.plot(list(lower_bounds), list(lower_bounds.values()), color=GREY, ls=":", lw=1.4)
     axes.xaxis.set_major_locator(FixedLocator(list(factor.values)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:.3g}".lstrip("0") if 0 < x < 1 else f"{x:g}"))

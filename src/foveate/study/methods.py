@@ -7,7 +7,8 @@ Anything else: a subclass of `Method` with its `rows`. `examples/own_method.py` 
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -25,7 +26,7 @@ from foveate.simulation.records import PROTOCOLS, Policy
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark:
-    """The same for every method: an experiment, scenes of its scenario, and the noise in them."""
+    """Task of every method: an experiment, scenes of its scenario, and the noise in them."""
 
     experiment: Experiment
     suite: Suite
@@ -54,10 +55,10 @@ class Method(abc.ABC):
 
     @abc.abstractmethod
     def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
-        """One row an episode; `policy` is the trained one, where the method has a training."""
+        """Return one row an episode; `policy` is the trained one if the method has a training."""
 
     def settings(self, protocol: str) -> dict[str, Any]:
-        """Everything else that the rows depend on, as JSON."""
+        """Return everything else that the rows depend on, as JSON."""
         return {}
 
 
@@ -67,21 +68,21 @@ class Acting(Method):
 
     @abc.abstractmethod
     def policy(self, experiment: Experiment, trained: Policy | None) -> Policy:
-        """The policy for an experiment; `trained` is the result of the method's training, if it has one."""
+        """Return the policy for an experiment; `trained` is the one that the method's training gave, if any."""
 
     def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
-        """The rows of an evaluation."""
+        """Evaluate the policy."""
         return evaluate(benchmark.suite, self.name, self.policy(benchmark.experiment, policy), (protocol,))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Learned(Acting):
-    """A trained policy as it is."""
+    """A trained policy."""
 
     family: str = "trained"
 
     def policy(self, experiment: Experiment, trained: Policy | None) -> Policy:
-        """The trained policy."""
+        """Return the trained policy."""
         if trained is None:
             raise InputError(f"method {self.name}: has no training: expected Learned(training=Training(..))")
         return trained
@@ -92,48 +93,42 @@ class Fixed(Acting):
     """A policy without training; `make` builds it for an experiment."""
 
     make: Callable[[Experiment], Policy]
-    family: str = "made by hand"
+    family: str = "heuristic"
 
     def policy(self, experiment: Experiment, trained: Policy | None) -> Policy:
-        """The policy that `make` builds."""
+        """Build the policy."""
         return self.make(experiment)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Planned(Method):
-    """A receding-horizon planner; with a training, one that starts from the trained policy's actions."""
+    """A receding-horizon planner with its settings by protocol; with a training, one that refines the policy's plan."""
 
     plans: Mapping[str, PlanSettings]
     family: str = "planned"
 
     def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
-        """The rows of plans in receding horizon."""
-
-        def policy_of(horizon: int) -> Policy:
-            return planner(benchmark.suite.problem, self.plans[protocol], horizon, policy=policy)
-
+        """Plan every episode in receding horizon."""
+        policy_of = partial(planner, benchmark.suite.problem, self.plans[protocol], policy=policy)
         scenes = benchmark.experiment.scenario.scenes
         return planner_rows(benchmark.suite, scenes, self.name, policy_of, protocol, on_progress)
 
     def settings(self, protocol: str) -> dict[str, Any]:
-        """The settings of the planner."""
+        """Return the planner's settings."""
         return asdict(self.plans[protocol])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Omniscient(Method):
+class Omniscient(Planned):
     """The planner that knows the future: the oracle of normalised_score."""
 
     name: str = "omniscient"
     family: str = "omniscient"
+    plans: Mapping[str, PlanSettings] = field(default_factory=lambda: OMNISCIENT)
 
     def rows(self, benchmark: Benchmark, protocol: str, policy: Policy | None, on_progress: OnProgress) -> list[Row]:
-        """The rows of its plans."""
+        """Plan every episode at full budget, or take the plans from the user's cache folder."""
         return oracle_rows(benchmark.suite, protocol, on_progress)
-
-    def settings(self, protocol: str) -> dict[str, Any]:
-        """The settings of the planner."""
-        return asdict(OMNISCIENT[protocol])
 
 
 TRUE_VIEW = "true-view"
@@ -146,7 +141,7 @@ REFINING_ITERATIONS = 15
 class Budget:
     """Size of a comparison; `scenes`: the first N of every cell; `targets`: cells with these numbers (None: all).
 
-    `reference` is what the paper's methods are compared with, and what is refined: fixed before any result is seen.
+    The paper's methods are compared with `reference`, which is also refined: fixed before any result is seen.
     `cuts` shorten trainings. The methods `robust` are run under `factors` of robustness (None: all).
     """
 
@@ -163,7 +158,8 @@ class Budget:
 
 
 FULL = Budget(cuts={})
-# As many sizes as two cores compile side by side, and factors that need no further program: compilation is most of it.
+# Compilation takes most of the time: two sizes of scenes, as two cores compile side by side, and factors that keep the
+# compiled programs.
 QUICK = Budget(
     quick=True, seeds=(0,), scenes=3, targets=(3, 5), learners=("paper", "ppo"), reference="paper", starts=(),
     cuts={"paper": {"epochs": 300}, "ppo": {"steps": 40_000}, TRUE_VIEW: {"epochs": 40}},
@@ -185,7 +181,7 @@ def paper_methods(budget: Budget) -> tuple[Method, ...]:
 
 
 def true_view_methods(budget: Budget) -> tuple[Method, ...]:
-    """Methods of the suite in which a target counts only when it is really seen."""
+    """Methods of the suite in which only real detections of a target count."""
     paper, ours = _training("paper", budget), _training(TRUE_VIEW, budget)
     learned = (Learned(name="paper", training=paper), Learned(name=TRUE_VIEW, training=ours))
     slow = (_refined(ours), Planned(name="icr", plans={"true": PUBLISHED}), _online(16))
@@ -193,7 +189,7 @@ def true_view_methods(budget: Budget) -> tuple[Method, ...]:
 
 
 def check_rows(rows: Sequence[Row], suite: Suite, method: str, protocol: str) -> None:
-    """Raise ValueError unless there is one row an episode of the suite, of this method and protocol."""
+    """Raise InputError unless there is one row an episode of the suite, of this method and protocol."""
     expected = [(scene.id, episode) for scene in suite.scenes for episode in range(suite.episodes_per_scene)]
     if sorted((row.scene, row.episode) for row in rows) != sorted(expected):
         raise InputError(f"method {method}: gave {len(rows)} rows: expected one an episode of the suite")
@@ -202,7 +198,7 @@ def check_rows(rows: Sequence[Row], suite: Suite, method: str, protocol: str) ->
 
 
 def can_train(name: str) -> bool:
-    """Whether the packages that a learner needs are installed."""
+    """Test that the packages of a learner are installed."""
     return name not in PPO or find_spec("stable_baselines3") is not None
 
 
@@ -223,7 +219,4 @@ def _online(starts: int) -> Planned:
 
 
 def _heuristic(name: str) -> Fixed:
-    def make(experiment: Experiment) -> Policy:
-        return heuristic(name, experiment.scenario.problem(), float(experiment.scenario.view.depth_m))
-
-    return Fixed(name=name, make=make)
+    return Fixed(name=name, make=lambda e: heuristic(name, e.scenario.problem(), float(e.scenario.view.depth_m)))

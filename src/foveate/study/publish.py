@@ -1,7 +1,7 @@
 """The results of a study as files: table.md, table.json and figures."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,14 @@ from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest
 from foveate.plotting.animation import animate
-from foveate.plotting.comparison import Curves, duel_figure, learning_curves
+from foveate.plotting.comparison import duel_figure, learning_curves
 from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.scenario.scenes import Scene
-from foveate.study import robustness
+from foveate.study import robustness, tables
 from foveate.study.figures import pareto_figure, robustness_figure
 from foveate.study.methods import Acting, Benchmark, can_train
-from foveate.study.run import Results, Trained, trained_policy
+from foveate.study.run import Results, trained_policy
 from foveate.study.study import Study, benchmark_of
-from foveate.study.tables import tables, worlds
 
 VERSION = 1
 """Of the files of comparisons."""
@@ -33,11 +32,11 @@ VERSION = 1
 TABLE, DATA, EPISODES = "table.md", "table.json", "episodes"
 
 RIVAL = "ppo"
-"""The reference is drawn beside it; where it is missing, beside the best heuristic."""
+"""Method drawn beside the reference; without it, the best heuristic."""
 
 
 def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
-    """Write all files into the folder `out`, and give what they show: a comparison for each first error."""
+    """Write all files into the folder `out`, and return their contents: a comparison for each initial error."""
     page = _Page(study=study, out=out, results=results, benchmark=benchmark_of(study, study.initial_errors[0]))
     suite = page.benchmark.suite
     lowest, state_size = lower_bounds(suite.problem, suite.scenes), suite.problem.motion.state_size
@@ -47,15 +46,15 @@ def publish(study: Study, out: Path, results: Results) -> list[Comparison]:
     figures = dict(page.figures(comparisons[0]))
     if study.suite == "true-view" and not study.quick:
         page.animations(comparisons[0])
-    shown = [table for one in comparisons for protocol in study.protocols for table in tables(one, protocol)]
+    shown = [table for each in comparisons for protocol in study.protocols for table in tables.tables(each, protocol)]
     if results.points:
-        shown.append(worlds(study.factors, results.points))
+        shown.append(tables.robustness(study.factors, results.points))
     write_atomic(out / TABLE, markdown(heading(study), page.conditions(), shown, figures).encode())
     return comparisons
 
 
 def heading(study: Study) -> str:
-    """A line about a study; a quick one says so."""
+    """Title of a study; a quick one says so."""
     scenes = f"{study.scenes_per_cell} scenes a cell"
     if study.quick:
         return f"QUICK LOOK, not a result: {scenes}, short trainings"
@@ -72,30 +71,36 @@ class _Page:
     benchmark: Benchmark
 
     def figures(self, comparison: Comparison) -> Iterator[tuple[str, str]]:
-        """Draw all figures, and give their names and what they show."""
+        """Draw all figures, and yield their names and captions."""
         study, out, reference = self.study, self.out, self.study.reference
         pareto_figure(comparison.overall, out / "pareto.png")
         yield "pareto.png", "Score against the time of a decision"
         if self.results.trained:
-            learning_curves(_learners(self.results.trained), out / "learning.png")
+            curves = {
+                name: (
+                    group[0].experiment.training.select,
+                    [read_validations(training.run / METRICS) for training in group],
+                )
+                for name, group in group_by(self.results.trained, lambda training: training.name).items()
+            }
+            learning_curves(curves, out / "learning.png")
             yield "learning.png", "Held-out score against environment steps and time: mean over seeds, worst to best"
+        biased = [scene for scene in self.benchmark.suite.scenes if scene.motion == "biased"]
+        scenes = [group[0] for group in group_by(biased, lambda scene: len(scene.targets)).values()]
         for protocol in study.protocols:
             if (rival := self._rival(comparison, protocol)) is not None:
+                both = [self._episodes(name, study.seeds[0], protocol, scenes) for name in (reference, rival)]
                 file = f"trajectories-{protocol}.png"
-                duel_figure((reference, rival), self._duels(rival, protocol), out / file)
+                duel_figure((reference, rival), list(zip(*both, strict=True)), out / file)
                 yield file, f"{reference} and {rival} in the same scenes, {protocol} protocol"
-        if self.results.points:
-            self._robustness()
-            yield "robustness.png", "True score in worlds that differ from training by one factor"
-
-    def _robustness(self) -> None:
-        study, points = self.study, self.results.points
-        verdicts = {factor.name: robustness.verdicts(factor, points) for factor in study.factors}
-        protocol, error = study.protocols[0], study.initial_errors[0]
-        robustness_figure(study.factors, verdicts, self.out / "robustness.png", f"{protocol} score [nat per target]")
-        facts = {**self.facts(), "protocol": protocol, "initial_error": error}
-        data = robustness.as_json(study.factors, points, facts)
-        write_document(self.out / "robustness.json", "robustness", VERSION, data)
+        if points := self.results.points:
+            protocol = study.protocols[0]
+            facts = {**self.facts(), "protocol": protocol, "initial_error": study.initial_errors[0]}
+            data = robustness.as_json(study.factors, points, facts)
+            write_document(out / "robustness.json", "robustness", VERSION, data)
+            verdicts = {factor.name: robustness.verdicts(factor, points) for factor in study.factors}
+            robustness_figure(study.factors, verdicts, out / "robustness.png", f"{protocol} score [nat per target]")
+            yield "robustness.png", "True score in scenarios that differ from training by one factor"
 
     def animations(self, comparison: Comparison) -> None:
         """Animate the reference's best and worst scene of every cell, by its first training seed."""
@@ -111,13 +116,6 @@ class _Page:
         for name, data in zip(chosen, episodes, strict=True):
             animate(data, self.out / EPISODES / f"{name}.gif")
 
-    def _duels(self, rival: str, protocol: str) -> list[tuple[EpisodeData, EpisodeData]]:
-        """Reference and rival in the first biased scene of every number of targets, by the first training seed."""
-        biased = [scene for scene in self.benchmark.suite.scenes if scene.motion == "biased"]
-        scenes = [group[0] for group in group_by(biased, lambda scene: len(scene.targets)).values()]
-        both = [self._episodes(name, self.study.seeds[0], protocol, scenes) for name in (self.study.reference, rival)]
-        return list(zip(*both, strict=True))
-
     def _episodes(self, name: str, seed: int | None, protocol: str, scenes: list[Scene]) -> list[EpisodeData]:
         method, experiment = self.study.method(name), self.benchmark.experiment
         assert isinstance(method, Acting), "only policies are drawn"
@@ -126,15 +124,15 @@ class _Page:
         return suite_data(suite, policy, protocol, name)
 
     def _rival(self, comparison: Comparison, protocol: str) -> str | None:
-        """The method that the reference is drawn with; None where one of the two is no policy."""
+        """The method to draw beside the reference; None unless both are policies."""
         policies = [method.name for method in self.study.methods if isinstance(method, Acting)]
         if self.study.reference not in policies:
             return None
         if RIVAL in policies and self.study.reference != RIVAL:
             return RIVAL
-        ranked = sorted((one for one in comparison.overall if one.protocol == protocol), key=lambda one: -one.mean)
-        best = next((one.method for one in ranked if one.family == "made by hand"), None)
-        return best if best in policies else None
+        heuristics = [m for m in comparison.overall if (m.protocol, m.family) == (protocol, "heuristic")]
+        best = max(heuristics, key=lambda method: method.mean, default=None)
+        return best.method if best is not None and best.method in policies else None
 
     def facts(self) -> dict[str, Any]:
         """The origin of the data, for programs."""
@@ -147,33 +145,30 @@ class _Page:
             "training_seeds": list(study.seeds),
             "world": digest(study.experiment),
             "trainings": [
-                {"name": one.name, "seed": one.seed, "experiment": digest(one.experiment), **asdict(one.outcome)}
-                for one in self.results.trained
+                {
+                    "name": training.name,
+                    "seed": training.seed,
+                    "experiment": digest(training.experiment),
+                    **asdict(training.outcome),
+                }
+                for training in self.results.trained
             ],
         }
 
     def conditions(self) -> dict[str, str]:
-        """The same for readers."""
+        """The origin of the data, for readers."""
         study, made = self.study, provenance()
-        ended = {f"{one.name}-{one.seed}": one.outcome for one in self.results.trained}
-        rollbacks = [f"{name} ({outcome.rollbacks})" for name, outcome in ended.items() if outcome.rollbacks]
-        stopped = [f"{name}: {outcome.stopped}" for name, outcome in ended.items() if outcome.stopped]
+        outcomes = {f"{training.name}-{training.seed}": training.outcome for training in self.results.trained}
+        rollbacks = [f"{name} ({outcome.rollbacks})" for name, outcome in outcomes.items() if outcome.rollbacks]
+        stopped = [f"{name}: {outcome.stopped}" for name, outcome in outcomes.items() if outcome.stopped]
         missing = [name for name in PPO if study.suite == "paper" and not can_train(name)]
         return {
             "scenes": f"table1 with seed {study.scene_seed}, the first {study.scenes_per_cell} of each cell; "
             f"one noise draw a scene (seed {study.noise_seed}), the same for every method",
             "training seeds": ", ".join(map(str, study.seeds)) + " (trainings cut short)" * study.quick,
             "reference": study.reference,
-            "collapsed trainings that went back to their best": ", ".join(rollbacks) or "none",
+            "collapsed trainings and their rollbacks": ", ".join(rollbacks) or "none",
             "trainings that stopped early": "; ".join(stopped) or "none",
             "left out, as the extra ppo is not installed": ", ".join(missing) or "nothing",
             "versions": f"foveate {made['foveate']}, jax {made['jax']}, {made['device']}, {os.cpu_count()} cores",
         }
-
-
-def _learners(trained: Sequence[Trained]) -> dict[str, Curves]:
-    """The trainings of each learner, and the protocol that selects its best policy."""
-    return {
-        name: (group[0].experiment.training.select, [read_validations(one.run / METRICS) for one in group])
-        for name, group in group_by(trained, lambda one: one.name).items()
-    }

@@ -1,4 +1,4 @@
-"""Robustness: scores in scenarios that differ from the one a policy was trained in, one factor at a time."""
+"""Robustness: scores in scenarios that differ from the one of the training, one factor at a time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -17,17 +17,17 @@ from foveate.simulation.suites import suite
 from foveate.study.methods import Acting, Benchmark, Method
 
 TARGETS = 5
-"""In every scene, where their number is not the factor."""
+"""In every scene, unless their number is the factor."""
 
 ORACLE = "omniscient"
-"""The method that normalised_score is measured by."""
+"""Name of the method whose normalised_score is 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """One method (of one training seed) in one changed scenario: score [nat per target] and share seen, a scene each.
+    """One method (of one training seed) in one changed scenario: score [nat per target] and share seen of each scene.
 
-    `floor` is the lower bound, the mean score of never seeing anything.
+    `floor` is the lower bound, the mean score of never seeing anything [nat per target].
     """
 
     factor: str
@@ -43,7 +43,7 @@ class Point:
 class Verdict:
     """A method in a changed scenario, mean over training seeds; intervals take scenes as independent.
 
-    `difference` to its own score in the nominal scenario, scene by scene where the scenes are the same, else None.
+    `difference` to its own score in the nominal scenario, scene by scene; None if the factor changes the scenes.
     """
 
     factor: str
@@ -72,15 +72,15 @@ def changed_benchmark(
 
 
 def measure(method: Method, benchmark: Benchmark, protocol: str, policy: Policy | None) -> dict[str, Any]:
-    """The measured fields of a `Point`. Policies are not timed: timing would compile each again."""
+    """Measure the fields `floor`, `scores` and `seen` of a `Point`."""
     suite = benchmark.suite
-    (floor,) = lower_bounds(suite.problem, suite.scenes).values()
-    if isinstance(method, Acting):
+    if isinstance(method, Acting):  # not timed, unlike in `rows`: timing would compile each policy again
         acting = method.policy(benchmark.experiment, policy)
         trace = evaluate_traces(suite, acting, PROTOCOLS[protocol], len(suite.scenes))
         rows = episode_rows(suite, method.name, protocol, trace, [0.0] * len(suite.scenes))
     else:
         rows = method.rows(benchmark, protocol, policy, lambda done: None)
+    (floor,) = lower_bounds(suite.problem, suite.scenes).values()
     scores = [row.score for row in rows if row.score is not None]
     return {"floor": floor, "scores": scores, "seen": [row.seen_fraction for row in rows]}
 
@@ -88,9 +88,9 @@ def measure(method: Method, benchmark: Benchmark, protocol: str, policy: Policy 
 def verdicts(factor: Factor, points: Sequence[Point]) -> list[Verdict]:
     """Verdicts of a factor, method after method, in the order of the values."""
     ours = [point for point in points if point.factor == factor.name]
-    grouped = group_by(ours, lambda point: (point.method, point.value))
-    scores = {key: np.mean([point.scores for point in group], axis=0) for key, group in grouped.items()}
-    return [_verdict(factor, group, scores) for group in grouped.values()]
+    groups = group_by(ours, lambda point: (point.method, point.value))
+    scores = {key: np.mean([point.scores for point in group], axis=0) for key, group in groups.items()}
+    return [_verdict(factor, group, scores) for group in groups.values()]
 
 
 def _verdict(factor: Factor, group: Sequence[Point], scores: Mapping[tuple[str, float], np.ndarray]) -> Verdict:
@@ -116,14 +116,10 @@ def _verdict(factor: Factor, group: Sequence[Point], scores: Mapping[tuple[str, 
 
 def as_json(factors: Sequence[Factor], points: Sequence[Point], facts: Mapping[str, Any]) -> dict[str, Any]:
     """All points and verdicts, factor by factor."""
-
-    def listed(factor: Factor) -> dict[str, Any]:
-        return {
-            "name": factor.name,
-            "label": factor.label,
-            "trained": factor.trained,
-            "verdicts": [asdict(verdict) for verdict in verdicts(factor, points)],
-            "points": [asdict(point) for point in points if point.factor == factor.name],
-        }
-
-    return {**facts, "factors": [listed(factor) for factor in factors]}
+    described = []
+    for factor in factors:
+        about = {"name": factor.name, "label": factor.label, "trained": factor.trained}
+        results = [asdict(verdict) for verdict in verdicts(factor, points)]
+        ours = [asdict(point) for point in points if point.factor == factor.name]
+        described.append({**about, "verdicts": results, "points": ours})
+    return {**facts, "factors": described}

@@ -1,4 +1,4 @@
-"""Jobs of a comparison, each kept in a file when it is done: the same command continues where it was interrupted.
+"""Jobs of a comparison, each kept in a file when it is done: the same command resumes an interrupted comparison.
 
 A job is a training, the rows of a method for one training seed and protocol, or its scores under a factor.
 """
@@ -9,7 +9,7 @@ import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,11 +26,12 @@ from foveate.io.files import sole_writer, write_atomic
 from foveate.io.grouping import group_by
 from foveate.io.toml import digest
 from foveate.learning.train import train
+from foveate.names import InitialError
 from foveate.scenario.factors import Factor
 from foveate.simulation.records import Policy
 from foveate.study.methods import Benchmark, Method, Training, check_rows
 from foveate.study.robustness import Point, measure
-from foveate.study.study import InitialError, Study, benchmark_of, changed_benchmarks
+from foveate.study.study import Study, benchmark_of, changed_benchmarks
 
 VERSION = 1
 """Of the files of jobs; raised, too, when a method gives other rows than before."""
@@ -44,7 +45,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A training that is done, and how it ended."""
+    """A completed training and its outcome."""
 
     name: str
     seed: int
@@ -67,10 +68,10 @@ def reproduce(
     on_progress: Callable[[int, str], None] = lambda done, label: None,
     say: Say = lambda line: None,
 ) -> Results:
-    """Do the jobs of a study that are not done yet, and give the results of all.
+    """Do the jobs of a study that are not done yet, and return the results of all.
 
-    `on_progress` takes the number of jobs that are done and what is being done. Raises ValueError where another process
-    is at work in `out`.
+    `on_progress` takes the number of completed jobs and a line about the current one. Raises InputError while another
+    process works in `out`.
     """
     (out / JOBS).mkdir(parents=True, exist_ok=True)
     records: list[Any] = []
@@ -87,7 +88,7 @@ def reproduce(
 
 
 def jobs(study: Study, out: Path, say: Say = lambda line: None) -> list[Job[Any]]:
-    """All jobs in the order in which they are done: a training comes before the first job that needs it."""
+    """All jobs in order: a training comes before the first job that needs it."""
     factory, ordered = _Factory(study=study, out=out, say=say), dict[Path, Job[Any]]()
     policies = [(method, seed) for method in study.methods for seed in study.seeds_of(method)]
     work = [
@@ -107,7 +108,7 @@ def jobs(study: Study, out: Path, say: Say = lambda line: None) -> list[Job[Any]
 
 
 def trained_policy(out: Path, method: Method, seed: int | None) -> Policy | None:
-    """The policy that the method's training gave for a seed; None for a method without training."""
+    """Load the policy that the method's training gave for a seed; None for a method without training."""
     return None if method.training is None else load_run(out / TRAININGS / f"{method.training.name}-{seed}")[1]
 
 
@@ -131,7 +132,7 @@ class _Factory:
         return {factor.name: changed_benchmarks(self.study, factor) for factor in self.study.factors}
 
     def training(self, training: Training, seed: int) -> Job[Any]:
-        """The training of a policy, into its own run folder."""
+        """Job of a training, into its own run folder."""
         run = self.out / TRAININGS / f"{training.name}-{seed}"
 
         def records(outcome: Outcome) -> list[Trained]:
@@ -149,7 +150,7 @@ class _Factory:
         )
 
     def _train(self, training: Training, seed: int, run: Path, note: Say) -> Outcome:
-        """Resume the run folder where it was begun under the same key; else train from the start."""
+        """Resume the run folder if it was begun under the same key; else train from the start."""
         experiment, key = training.experiment, _training_key(training, seed)
         is_ppo = isinstance(experiment.training, PPOSettings)
 
@@ -164,7 +165,7 @@ class _Factory:
         if is_begun and not is_ppo:  # PPO cannot resume
             try:
                 outcome = train(experiment, run, seed, True, report)
-            except ValueError as error:
+            except InputError as error:
                 self.say(str(error))
         if outcome is None:
             if run.exists():
@@ -177,44 +178,42 @@ class _Factory:
         return outcome
 
     def rows(self, method: Method, seed: int | None, protocol: str, error: InitialError | None) -> Job[Any]:
-        """A method on all scenes of the suite."""
+        """Job of a method on all scenes of the suite."""
         words = [_label(method, seed), protocol, *([] if error is None else [error])]
-
-        def records(rows: Sequence[Row]) -> list[Part]:
-            about = {"method": method.name, "family": method.family, "training_seed": seed, "protocol": protocol}
-            return [Part(**about, rows=tuple(rows), initial_error=error)]
+        about = {"method": method.name, "family": method.family, "training_seed": seed, "protocol": protocol}
+        part = partial(Part, **about, initial_error=error)
 
         def compute(note: Say) -> list[Part]:
             benchmark, policy = self.benchmarks[error], trained_policy(self.out, method, seed)
             total = len(benchmark.suite.scenes)
             rows = method.rows(benchmark, protocol, policy, lambda done: note(f"{done} of {total} episodes"))
             check_rows(rows, benchmark.suite, method.name, protocol)
-            return records(rows)
+            return [part(rows=tuple(rows))]
 
         return self._job(
             f"rows-{'-'.join(words)}.json",
             label=", ".join(words),
             key=lambda: self._key(method, seed, protocol, [self.benchmarks[error]]),
             compute=compute,
-            encode=lambda records: [asdict(row) for row in records[0].rows],
-            decode=lambda result: records([Row(**row) for row in result]),
+            encode=lambda parts: [asdict(row) for row in parts[0].rows],
+            decode=lambda result: [part(rows=tuple(Row(**row) for row in result))],
         )
 
     def points(self, method: Method, seed: int | None, factor: Factor) -> Job[Any]:
-        """A method in all scenarios of a factor, under the first protocol."""
-        protocol = self.study.protocols[0]
+        """Job of a method in all scenarios of a factor, under the first protocol."""
+        protocol, label = self.study.protocols[0], _label(method, seed)
+        point = partial(Point, factor=factor.name, method=method.name, training_seed=seed)
 
         def compute(note: Say) -> list[Point]:
             policy, points = trained_policy(self.out, method, seed), []
             for value, benchmark in self.changed[factor.name].items():
-                about = {"factor": factor.name, "value": value, "method": method.name, "training_seed": seed}
-                points.append(Point(**about, **measure(method, benchmark, protocol, policy)))
+                points.append(point(value=value, **measure(method, benchmark, protocol, policy)))
                 note(f"{len(points)} of {len(factor.values)} scenarios")
             return points
 
         return self._job(
-            f"worlds-{_label(method, seed)}-{factor.name}.json",
-            label=f"{_label(method, seed)}, {factor.name} changed",
+            f"worlds-{label}-{factor.name}.json",
+            label=f"{label}, {factor.name} changed",
             key=lambda: self._key(method, seed, protocol, list(self.changed[factor.name].values())),
             compute=compute,
             encode=lambda points: [asdict(point) for point in points],
@@ -231,7 +230,7 @@ class _Factory:
         }
         if method.training is None or seed is None:
             return _digest(**words)
-        # Rows are those of the very weights that lie there: the same training may give others on another machine.
+        # Rows depend on the very weights of the run folder: the same training may give others on another machine.
         weights = (self.out / TRAININGS / f"{method.training.name}-{seed}" / BEST).read_bytes()
         key = _digest(**words, training=_training_key(method.training, seed))
         return f"{key}-{hashlib.sha256(weights).hexdigest()[:16]}"
