@@ -28,21 +28,16 @@ from foveate.simulation.suites import own_suite, table1
 
 TRAINED = Path(__file__).parent / "trained"
 """The run folders of the presets."""
-
-
 Name = str | Path
 
 
 @typing.runtime_checkable
 class Trained(typing.Protocol):
-    """A policy with the experiment that trained it, as `deploy.policy.TrainedPolicy`."""
+    """A policy with the experiment that trained it: `deploy.policy.TrainedPolicy`."""
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def experiment(self) -> Experiment: ...
-    @property
-    def network(self) -> Policy: ...
+    name: str
+    experiment: Experiment
+    network: Policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +50,7 @@ class Subject:
     """Loads the policy: heuristics need no checkpoint."""
 
     def policy(self, method: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-        """The policy of a method's name: `policy`, its own, or a heuristic; the box [m] is for the lawnmower."""
+        """Resolve a method's name: `policy` or a heuristic; the box [m] is for the lawnmower."""
         if method == "policy":
             return self.network()
         scenario = self.experiment.scenario
@@ -76,7 +71,7 @@ def run_folder(run: Name) -> Path:
 
 
 def load(run: Name) -> tuple[Experiment, Policy, dict[str, Any]]:
-    """Experiment and policy of a run or a preset, and the facts saved with it. Raises InputError as `load_run`."""
+    """Load experiment and policy of a run or preset, and the facts saved with them. Raises InputError as `load_run`."""
     return load_run(run_folder(run))
 
 
@@ -127,13 +122,13 @@ def subject_of(policy: Trained | Policy | Name, scenario: Scenario | None = None
 
 
 def _shape_of(problem: Problem) -> str:
-    """All that the inputs and outputs of a network depend on."""
+    """Dimensions that the inputs and outputs of a network depend on."""
     n_y, axes = problem.motion.state_size, len(problem.agent.axes)
     return f"{problem.agent.space.dimension} dimensions, states of {n_y} numbers and {axes} of a command"
 
 
 def with_initial_error(experiment: Experiment, initial_error: InitialError | None) -> Experiment:
-    """The experiment with this first error of beliefs; with its own where None is given."""
+    """Set the error of the first means; None keeps the experiment's own."""
     if initial_error is None:
         return experiment
     scenario = experiment.scenario
@@ -142,7 +137,7 @@ def with_initial_error(experiment: Experiment, initial_error: InitialError | Non
 
 
 def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
-    """One or several methods' names, each once, `all` spelled out. Raises InputError for an unknown name."""
+    """Resolve names of methods, each once, `all` to all. Raises InputError for an unknown name."""
     names = [method] if isinstance(method, str) else list(method)
     for name in names:
         if name not in (*METHODS, "all"):
