@@ -274,7 +274,7 @@ def test_plans_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert main([*command, "--protocol", "true", "--json", str(tmp_path / "a")]) == 0
     options = {"open_loop": True, "iterations": 2, "protocol": "true", "seed": 3}
     foveate.plan(scenes, run=out, **options).to_json(tmp_path / "b")
-    mine = foveate.plan([SCENE], world=PLANE.scenario, **options)
+    mine = foveate.plan([SCENE], experiment=PLANE.scenario, **options)
     a, b = (json.loads((tmp_path / name).read_text()) for name in "ab")
     assert a == b
     assert a["rows"] == [json.loads(json.dumps(asdict(row))) for row in mine.rows]

@@ -13,8 +13,8 @@ from foveate.cli.main import COMMANDS, main
 INTRODUCTION = """# Commands
 
 All commands and options, as in `foveate COMMAND --help`. Exit status: 0 success, 1 ran but a check failed, 2 invalid
-input (one line on stderr), 130 interrupted. For a command that takes `RUN|PRESET`, a preset name means its trained
-policy in the package.
+input (one line on stderr), 70 a bug of foveate, 130 interrupted. `--debug`, with any command, shows the traceback of an
+error. For a command that takes `RUN|PRESET`, a preset name means its trained policy in the package.
 """
 PANEL = re.compile(r"^ \S.*\n -+\n((?:  .*\n)+)", re.MULTILINE)
 DEFAULT = re.compile(r" \((?:default: ([^()]*)|required)\)$")

@@ -37,14 +37,14 @@ Protocols = Literal["surrogate", "true", "both"]
 def load(run: str | Path) -> TrainedPolicy:
     """Load the best policy of a run folder, or the trained policy that the package ships for a preset.
 
-    Raises InputError, in one line, where there is neither, or a file of it is not what it should be.
+    Raises InputError if neither exists, or a file is damaged.
     """
     experiment, network, facts = load_parts(run)
     return TrainedPolicy(name=str(run), experiment=experiment, network=network, facts=facts)
 
 
 def train(
-    world: Scenario | Experiment | str | Path = "paper",
+    experiment: Scenario | Experiment | str | Path = "paper",
     *,
     like: Preset = "true-view",
     algorithm: Learner | None = None,
@@ -58,35 +58,36 @@ def train(
     resume: bool = False,
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a policy, and return the best of it by held-out scenes; warns where the training had to stop early.
+    """Train a policy and return the best one by validation; warns if the training stopped early.
 
     Args:
-        world: a preset's name, a TOML file as `fit` writes it, a run folder, an `Experiment`, or a `Scenario`.
-        like: preset whose network and learner a `Scenario` gets: "true-view" takes minutes, "paper" seconds.
-        algorithm: another learner than `world` says.
-        epochs: another number of them.
-        episodes: another number in each epoch.
-        steps: of PPO in place of epochs and episodes.
-        remat: for long episodes, the same gradient in less memory.
-        window: for long episodes, steps after which the gradient is cut off.
-        seed: of weights and scenes.
-        out: run folder to keep everything in; without it only the returned policy is left (see its `save`).
-        resume: go on with the interrupted training in `out`.
-        progress: show a bar on a terminal, a line at each tenth in a notebook.
+        experiment: Name of a preset, TOML file as `fit` writes it, run folder, `Experiment`, or `Scenario`.
+        like: Preset that gives a `Scenario` its network and learner: "true-view" takes minutes, "paper" seconds.
+        algorithm: Learner, in place of the experiment's.
+        epochs: Iterations, in place of the experiment's.
+        episodes: Episodes per iteration, in place of the experiment's.
+        steps: Environment steps of PPO, which has no epochs and episodes.
+        remat: Store fewer states of long episodes: the same gradient in less memory.
+        window: Truncate the gradient of long episodes after this many steps.
+        seed: Seed of weights and scenes.
+        out: Run folder; without one, only the returned policy is left (see its `save`).
+        resume: Resume the interrupted training in `out`.
+        progress: Show a bar on a terminal, or a line at each tenth in a notebook.
 
     Raises:
-        InputError: settings that do not fit, or `out` holds a run already.
+        InputError: Settings do not fit, or `out` already holds a run.
     """
     seed_number(seed, "seed")
     if resume and out is None:
-        raise InputError("resume: expected out, the run folder to go on with")
-    experiment = for_scenario(world, like) if isinstance(world, Scenario) else experiment_from(world)
-    experiment = adjusted(experiment, algorithm, epochs=epochs, episodes=episodes, steps=steps)
-    experiment = for_long_horizons(experiment, remat, window)
+        raise InputError("resume: expected out, the run folder to resume")
+    chosen = for_scenario(experiment, like) if isinstance(experiment, Scenario) else experiment_from(experiment)
+    chosen = for_long_horizons(
+        adjusted(chosen, algorithm, epochs=epochs, episodes=episodes, steps=steps), remat, window
+    )
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
-            return _trained(experiment, Path(folder) / "run", "a policy", seed, resume, progress)
-    return _trained(experiment, Path(out), str(out), seed, resume, progress)
+            return _trained(chosen, Path(folder) / "run", "a policy", seed, resume, progress)
+    return _trained(chosen, Path(out), str(out), seed, resume, progress)
 
 
 def _trained(experiment: Experiment, out: Path, name: str, seed: int, resume: bool, progress: bool) -> TrainedPolicy:
@@ -111,20 +112,20 @@ def evaluate(
     normalised: bool = False,
     progress: bool = True,
 ) -> Evaluation:
-    """Evaluate a policy, and heuristics beside it, all on the same scenes with the same noise.
+    """Evaluate a policy, and heuristics beside it, on the same scenes with the same noise.
 
     Args:
-        policy: a trained one, a run folder, a preset's name, or a `foveate.Policy` of your own with its `scenario`.
-        scenes: a file, a list, "table1" (the paper's), or "own" (drawn from the scenario; default in space).
+        policy: Trained policy, run folder, name of a preset, or your own `foveate.Policy` with its `scenario`.
+        scenes: File, list, "table1" (the paper's; default in the plane), or "own" (of the scenario; default in space).
         method: "policy", "random", "still", "nearest", "uncertain", "lawnmower", several of them, or "all".
-        protocol: how information is counted, softly as in the paper or by real measurements.
-        episodes: runs of every scene.
-        seed: of the noise.
-        scene_seed: of the scenes of table1 or own.
-        initial_error: of first means, as a measurement's or as the belief claims; None: as the scenario says.
-        scenario: another one than the policy was trained for.
-        normalised: also the score between lower bound (0) and omniscient planner (1), whose plans take minutes, once.
-        progress: show a bar.
+        protocol: Information from the paper's soft view (surrogate), from real measurements (true), or both.
+        episodes: Episodes per scene.
+        seed: Seed of the noise.
+        scene_seed: Seed of the scenes of table1 or own.
+        initial_error: Error of the first means, as a measurement's (paper) or as the belief claims (consistent).
+        scenario: Scenario to evaluate in, in place of the one of training.
+        normalised: Add the score between lower bound (0) and omniscient planner (1), whose plans take minutes, once.
+        progress: Show a bar.
     """
     methods, protocols = methods_of(method), _protocols(protocol, episodes, seed, scene_seed)
     subject = subject_of(policy, scenario)
@@ -145,7 +146,7 @@ def evaluate(
 
 
 def _protocols(protocol: str, episodes: int, seed: int, scene_seed: int) -> tuple[str, ...]:
-    """The protocols that are meant; raises InputError for a wrong argument of an evaluation."""
+    """Resolve protocols, and check the other arguments of an evaluation."""
     seed_number(seed, "seed")
     seed_number(scene_seed, "scene_seed")
     check_count(episodes, "episodes")
@@ -157,7 +158,7 @@ def _protocols(protocol: str, episodes: int, seed: int, scene_seed: int) -> tupl
 def plan(
     scenes: str | Path | Sequence[Scene] | None = None,
     *,
-    world: Scenario | Experiment | str | Path = "paper",
+    experiment: Scenario | Experiment | str | Path = "paper",
     run: Trained | str | Path | None = None,
     refine: int | None = None,
     omniscient: bool = False,
@@ -174,20 +175,20 @@ def plan(
     """Evaluate a planner on the scenes and noise of `evaluate`: by default iCR as published, in receding horizon.
 
     Args:
-        scenes: as for `evaluate`.
-        world: a preset's name, a TOML file, a run folder, an `Experiment` or a `Scenario` to plan in.
-        run: a trained policy, a run folder or a preset's name, in place of `world`.
-        refine: steps of ascent from what the policy of `run` would do.
-        omniscient: know every future input, true positions, and no noise.
-        open_loop: plan once, at the start.
-        starts: sequences to begin from; None: as published, omniscient 64.
-        iterations: steps of ascent of each; None: the planner's own number.
-        window: most steps that a receding-horizon plan looks ahead.
-        protocol: how information is counted, and so what is planned for.
-        episodes: runs of every scene.
-        seed: of the noise.
-        scene_seed: of the scenes of table1 or own.
-        progress: show a bar.
+        scenes: As for `evaluate`.
+        experiment: Name of a preset, TOML file, run folder, `Experiment` or `Scenario` to plan in.
+        run: Trained policy, run folder or name of a preset, in place of `experiment`.
+        refine: Ascent steps from the actions of the policy of `run`.
+        omniscient: Know all inputs and true positions in advance, without noise.
+        open_loop: Plan once, at the start.
+        starts: Initial action sequences; None: as published, 64 if omniscient.
+        iterations: Ascent steps from each; None: the planner's default.
+        window: Longest horizon of a receding-horizon plan [steps].
+        protocol: Protocol that is planned for and evaluated under.
+        episodes: Episodes per scene.
+        seed: Seed of the noise.
+        scene_seed: Seed of the scenes of table1 or own.
+        progress: Show a bar.
     """
     options = PlanOptions(
         refine=refine, starts=starts, iterations=iterations, window=window, omniscient=omniscient, open_loop=open_loop
@@ -196,11 +197,11 @@ def plan(
     if refine is not None and run is None:
         raise InputError(f"refine {refine}: expected the policy to refine: give run")
     subject = None if run is None else subject_of(run)
-    experiment = experiment_from(world) if subject is None else subject.experiment
-    chosen, known = scenes_of(scenes, scene_seed, experiment)
+    settings = experiment_from(experiment) if subject is None else subject.experiment
+    chosen, known = scenes_of(scenes, scene_seed, settings)
     policy = None if subject is None or refine is None else subject.network()
     facts = {"scene_seed": scene_seed, "run": None if subject is None else subject.name}
     return evaluate_plans(
-        experiment, options, known, chosen, facts, protocols=protocols, policy=policy, episodes=episodes, seed=seed,
+        settings, options, known, chosen, facts, protocols=protocols, policy=policy, episodes=episodes, seed=seed,
         quiet=not progress,
     )  # fmt: skip

@@ -261,7 +261,7 @@ def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
     assert first.returncode == 1
     assert "another process of this training was lost" in complaint
     assert "Traceback" not in complaint
-    assert "go on with  foveate train --resume" in complaint
+    assert "resume with  foveate train --resume" in complaint
     epoch, learned = arrays(run)
     assert epoch >= 20
     assert json.loads((run / METRICS).read_text().splitlines()[-1])["epoch"] == epoch

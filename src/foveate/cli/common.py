@@ -1,4 +1,4 @@
-"""What several commands share: settings of JAX, checks of output files, tables."""
+"""Shared by the commands: settings of JAX, checks of output files, tables."""
 
 import os
 import sys
@@ -9,8 +9,9 @@ from foveate.errors import InputError
 
 
 def keep_compiled() -> None:
-    """Keep compiled programs in the user's cache folder (foveate/jax there; safe to delete), so that only the first
-    run of a kind waits for compilation. JAX_COMPILATION_CACHE_DIR names another place.
+    """Keep compiled programs in the user's cache folder, so that only the first run of a kind waits for compilation.
+
+    The folder is foveate/jax there, and safe to delete; JAX_COMPILATION_CACHE_DIR names another one.
     """
     import jax
 
@@ -22,8 +23,9 @@ def keep_compiled() -> None:
 
 
 def full_precision() -> None:
-    """Matrix products in full float32, where accelerators would round factors to 10 bits; unless
-    JAX_DEFAULT_MATMUL_PRECISION asks for something else.
+    """Multiply matrices in full float32, where accelerators would round factors to 10 bits.
+
+    JAX_DEFAULT_MATMUL_PRECISION overrides this.
     """
     import jax
 
@@ -32,8 +34,10 @@ def full_precision() -> None:
 
 
 def compile_fast() -> None:
-    """Let XLA compile in a fifth less time, for programs that wait for that more than they run. Call it before
-    anything of foveate that makes arrays is imported; does nothing where XLA_FLAGS is set, or a JAX may not know it.
+    """Let XLA compile in a fifth less time, for programs that compile longer than they run.
+
+    Call it before importing anything that makes arrays. XLA_FLAGS overrides it; other versions of JAX may not know the
+    flag, and get none.
     """
     from importlib.metadata import version
 
@@ -61,7 +65,7 @@ def check_output(path: Path | None, *inputs: Path | str | None, folder: bool = F
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on standard output; the first two columns are text, the others numbers."""
+    """Print a table; its first two columns are text, the others numbers."""
     from rich.console import Console
 
     from foveate.io.tables import TABLE_WIDTH, Table, draw

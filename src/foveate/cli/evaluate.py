@@ -12,22 +12,21 @@ from foveate.names import InitialError
 
 @dataclass(kw_only=True)
 class Evaluate(Command):
-    """Score a policy, or policies made by hand, on scenes.
+    """Score a policy and heuristics on scenes.
 
-    surrogate: the paper's score; information grows softly, also for targets near the view. true: the Kalman filter
-    that really runs; information only from real measurements. Every method gets the same scenes and the same noise.
+    surrogate: the paper's score; targets near the field of view give a part of the information. true: the Kalman
+    filter; only real measurements give information. Every method gets the same scenes and the same noise.
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
+    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
-    """Scenes file; or table1, the paper's six cells of 30 scenes; or own, 30 scenes for each of three numbers of
-    targets from the scenario's own distribution, none of which trained it (default: table1 in the plane, own in
-    space)."""
+    """Scenes file; table1: the paper's six cells of 30 scenes; own: 30 scenes for each of three numbers of targets from
+    the scenario's distribution, not used in training (default: table1 in the plane, own in space)."""
     scene_seed: int = 2023
-    """Seed of the scenes of table1 or own; table1 proper is the default."""
+    """Seed of the scenes of table1 or own; the default gives the paper's table 1."""
     protocol: Literal["surrogate", "true", "both"] = "both"
-    """How information is counted."""
+    """How information is counted; see above."""
     method: tuple[str, ...] = ("policy",)
     """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
     episodes: int = 1
@@ -35,12 +34,13 @@ class Evaluate(Command):
     seed: int = 0
     """Seed of the noise."""
     initial_error: Annotated[InitialError | None, option("paper|consistent")] = None
-    """How far first means are off: as a measurement is (paper: less than the belief claims), or as the first belief
-    claims (consistent; default: as the scenario says)."""
-    normalised: Annotated[bool, tyro.conf.arg(aliases=("--closeness",))] = False
-    """Say how far each score gets from never seeing anything (0) to the omniscient planner (1). Its plans take about
-    100 s for table1 on 2 cores, once: they are kept in the user's cache folder."""
+    """Error of the first means: that of a measurement (paper), or as large as the first belief claims (consistent;
+    default: as in the scenario)."""
+    # tyro shows aliases first: the former name is the one that comes last.
+    normalised: Annotated[bool, tyro.conf.arg(name="closeness", aliases=("--normalised",))] = False
+    """Add the normalised score: 0 for never seeing anything, 1 for the omniscient planner, whose plans take 100 s for
+    table1 on 2 cores the first time, and are then cached. Formerly --closeness."""
     json: Annotated[Path | None, option("FILE")] = None
-    """Write rows and summary for programs."""
+    """Write rows and summary as JSON."""
     write_scenes: Annotated[Path | None, option("FILE")] = None
-    """Write the scenes that were run as a scenes file."""
+    """Write the evaluated scenes to a scenes file."""

@@ -1,4 +1,4 @@
-"""`foveate`: the command line. Nothing heavy is imported before a command is chosen, so that help comes at once."""
+"""The command line `foveate`. Nothing heavy is imported before a command is chosen, so that help is fast."""
 
 import functools
 import inspect
@@ -33,10 +33,10 @@ A run in three commands:
   foveate evaluate runs/first --scenes table1
   foveate replay runs/first RECORDING.csv --out runs/first/replay
 
-foveate COMMAND --help explains each; --version prints the version; --debug, beside any command, shows the traceback of
-an error. RUN may be a preset: its trained policy is here.
+foveate COMMAND --help explains each command; --version prints the version; --debug, with any command, shows the
+traceback of an error. RUN may be a preset, whose trained policy the package ships.
 
-Exit status: 0 done, 1 ran but a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted.
+Exit status: 0 success, 1 ran but a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted.
 """
 
 WRONG_INPUT, BUG, INTERRUPTED = 2, 70, 130
@@ -57,7 +57,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command. Exit status: 0 done, 1 a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted."""
+    """Run a command. Exit status: 0 success, 1 a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug, given = "--debug" in given, [argument for argument in given if argument != "--debug"]
     if given == ["--version"]:
@@ -76,19 +76,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parsed(given: Sequence[str]) -> Any:
-    """The command with its options. Raises InputError for an option that is given twice."""
+    """Parse a command and its options. Raises InputError for an option given twice."""
     kinds = [_for_tyro(kind, name, is_chosen=name in given[:1]) for name, kind in COMMANDS.items()]
     choice: Any = functools.reduce(operator.or_, kinds)
     config = (tyro.conf.OmitSubcommandPrefixes,)
     command = tyro.cli(choice, prog="foveate", description=DESCRIPTION, args=given, config=config)
     names = [argument.partition("=")[0] for argument in given if argument.startswith("--")]
     if twice := [name for name in names if names.count(name) > 1]:  # of which the parser takes the last
-        raise InputError(f"{twice[0]}: is given twice: expected once, with all of its values behind it")
+        raise InputError(f"{twice[0]}: is given twice: expected once, followed by all its values")
     return command
 
 
 def _for_tyro(kind: type, name: str, is_chosen: bool) -> Any:
-    """The command with the first line of its docstring for the list, or all of it for its own page."""
+    """Describe a command by the first line of its docstring in the list, by all of it on its own page."""
     text = inspect.cleandoc(kind.__doc__ or "")
     return Annotated[kind, tyro.conf.subcommand(name, description=text if is_chosen else text.splitlines()[0])]
 
@@ -102,7 +102,7 @@ def _run(command: Any) -> int:
 
 
 def _failure(error: BaseException, command: Any) -> tuple[int, str]:
-    """Exit status of an error, and what is said of it: one line, but for a bug."""
+    """Exit status and message of an error: one line, except for a bug."""
     if isinstance(error, InputError):
         return WRONG_INPUT, _with_option(str(error), command)
     if isinstance(error, OSError):
@@ -114,7 +114,7 @@ def _failure(error: BaseException, command: Any) -> tuple[int, str]:
 
 
 def _with_option(message: str, command: Any) -> str:
-    """The message, with the argument of a Python function that it begins with as the option of that name."""
+    """Name the option where a message begins with the Python argument of the same name."""
     name = message.partition(":")[0].partition(" ")[0]
     if command is None or name not in {field.name for field in fields(command)}:
         return message

@@ -1,4 +1,4 @@
-"""Options of commands: what all commands have, and how an option is shown in --help."""
+"""Options of commands: their base class, and how --help shows an option."""
 
 from typing import Any
 
@@ -6,14 +6,14 @@ import tyro
 
 
 class Command:
-    """Options of a command; its work is `run` of the module of its name in `cli.run`."""
+    """Options of a command; `cli.run` has a module of the same name whose `run` does the work."""
 
     def prepare(self) -> None:
-        """Set what JAX must know before it makes its first array: called before the module of `run` is imported."""
+        """Configure JAX before it makes its first array: called before the module of `run` is imported."""
 
 
 def option(metavar: str) -> Any:
-    """An option whose value is called so; where its default is none, its text says what happens without it."""
+    """Name the value of an option in --help; the text of an option without default says what happens without it."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=_hint)
 
 

@@ -12,19 +12,19 @@ from foveate.names import ProtocolName
 
 @dataclass(kw_only=True)
 class Render(Command):
-    """Draw episodes: a moving picture of one scene, or its course (start, 1/3, 2/3, end), a row a scene.
+    """Draw episodes: an animation of one scene, or a figure with a row per scene (start, 1/3, 2/3, end).
 
-    The same chance as in `foveate evaluate`: what is drawn is the row of its table with that scene and --seed.
+    Noise is as in `foveate evaluate`: the figure shows the episode of its row with that scene and --seed.
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, of which the package brings a trained policy."""
+    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
     out: Annotated[Path, option("FILE.gif|.mp4|.png|.pdf|.svg")]
-    """.gif or .mp4: the episode as it unfolds. .png, .pdf or .svg: its course in four pictures."""
+    """.gif or .mp4: an animation. .png, .pdf or .svg: four pictures per scene."""
     scene: Annotated[tuple[str, ...], option("ID ..")] = ()
-    """Which scenes (default: the last of each number of targets; the last of all for a moving picture)."""
+    """Scenes to draw (default: the last of each number of targets; for an animation the last of all)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
-    """Where they come from (default: table1 in the plane, own in space)."""
+    """Scenes file, table1 or own (default: table1 in the plane, own in space)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     protocol: ProtocolName = "true"

@@ -14,52 +14,50 @@ from foveate.names import Learner, Preset
 class Train(Command):
     """Train a policy into a run folder.
 
-    The folder holds config.toml, metrics.jsonl, TensorBoard events, the best checkpoint by held-out scenes, and, but
-    for PPO, what --resume needs to go on. The same seed gives the same checkpoint, bit for bit, on the
-    same machine.
+    The folder holds config.toml, metrics.jsonl, TensorBoard events, the checkpoint that is best on held-out scenes, and
+    (except with PPO) the state for --resume. The same seed gives the same checkpoint, bit for bit, on one machine.
     """
 
     preset: Annotated[Preset | None, option("NAME")] = None
-    """paper (default): the paper's network, learner and budget (about 10 s on 2 cores). best: a network that weighs
-    where to go next, trained by trying, for the paper's score and the real one alike (some 5 minutes). true-view: the
-    same for what is really seen alone. search: the same where first beliefs err by as much as they claim, with a filter
-    that also learns from looking in vain. quadrotor: a flying camera over constant-velocity targets in space, some
-    minutes."""
+    """paper (default): the paper's network, learner and budget (10 s on 2 cores). best: a pointer network trained by
+    actor-critic for the surrogate and the true score alike (5 minutes). true-view: the same for the true score alone.
+    search: the same with consistent initial errors and a filter that uses missed detections. quadrotor: a flying camera
+    over constant-velocity targets in space."""
     config: Annotated[Path | None, option("FILE.toml")] = None
-    """Experiment in place of a preset, as written by `foveate fit` or as config.toml of another run."""
+    """Experiment in place of a preset: from `foveate fit`, or config.toml of another run."""
     algorithm: Annotated[Learner | None, option("NAME")] = None
-    """By another learner than the preset or file says, and with a network that this can train. policy-gradient: the
-    paper's, through the model. actor-critic: by trying, in whole batches of noisy episodes under the real filter. ppo:
-    the paper's model-free rival, Stable-Baselines3's PPO with its default settings (about 10 minutes; needs pip install
-    'foveate[ppo]'), on the paper's network. ppo-tuned: the same with settings that suit this task."""
+    """Another learner than that of the preset or file, with a network that it can train. policy-gradient: the paper's,
+    through the differentiable simulation. actor-critic: PPO on full noisy episodes under the real filter. ppo: the
+    paper's model-free baseline, PPO of Stable-Baselines3 with its defaults (10 minutes; needs pip install
+    'foveate[ppo]'). ppo-tuned: the same with settings for this task."""
     epochs: Annotated[int | None, option("INT")] = None
-    """Steps of gradient ascent, or batches of tries (default: as in the preset or file)."""
+    """Iterations of the learner (default: as in the preset or file)."""
     episodes: Annotated[int | None, option("INT")] = None
-    """Episodes in each of them."""
+    """Episodes per iteration."""
     steps: Annotated[int | None, option("INT")] = None
-    """Of PPO, steps of simulated episodes in all (default: a million, about what 1000 epochs of 60 episodes take)."""
+    """Environment steps of PPO (default: a million, about as many as 1000 epochs of 60 episodes)."""
     seed: int = 0
     """Seed of weights and scenes."""
     out: Annotated[Path | None, option("RUN")] = None
-    """Run folder to make (default: runs/PRESET-SEED, with the algorithm between them where one is given)."""
+    """Run folder to create (default: runs/PRESET-SEED or runs/PRESET-ALGORITHM-SEED)."""
     resume: Annotated[Path | None, option("RUN")] = None
-    """Go on with this run, with the settings and the seed it began with (not of PPO)."""
+    """Resume this run with its own settings and seed (not with PPO)."""
     remat: bool = False
-    """For long horizons: remember a few states of an episode, and run what lies between again on the gradient's way
-    back. The same gradient, a third more work, far less memory."""
+    """For long horizons: store few states of an episode and recompute the others on the way back. The same gradient, a
+    third more work, far less memory."""
     window: Annotated[int | None, option("STEPS")] = None
-    """For long horizons: let the gradient end at every so many steps, so that it stays bounded. Another gradient: what
-    a decision does is followed no further than to the end of its window."""
+    """For long horizons: truncate the gradient every STEPS steps, so that it stays bounded. A different gradient: the
+    effect of a decision is followed to the end of its window only."""
     coordinator: Annotated[str | None, option("HOST:PORT")] = None
-    """Train in several processes that share out each batch of episodes, all started with the same options: address of
-    the first one. auto: as SLURM, Kubernetes or MPI say, without the two options below."""
+    """Address of the first of several processes that share each batch, all started with the same options. auto: as
+    SLURM, Kubernetes or MPI say, without the two options below."""
     processes: Annotated[int | None, option("N")] = None
-    """How many processes there are."""
+    """Number of processes."""
     process_id: Annotated[int | None, option("I")] = None
-    """Which of them this one is, from 0; that one writes the run folder."""
+    """Index of this process, from 0; process 0 writes the run folder."""
 
     def prepare(self) -> None:
-        """Become one of several processes where that is asked for, and use every core."""
+        """Join the other processes if there are any, and use every core."""
         from foveate.learning.devices import join, use_cores
 
         check_seed(self.seed)

@@ -13,7 +13,7 @@ def run(options: Plan) -> int:
         raise InputError("--run, --config and --preset: each is a world to plan in; give one of them")
     evaluation = api.plan(
         options.scenes,
-        world=options.config or options.preset or "paper",
+        experiment=options.config or options.preset or "paper",
         run=options.run,
         refine=options.refine,
         omniscient=options.omniscient,

@@ -25,14 +25,14 @@ def run(options: Train) -> int:
         outcome = _train(experiment, options.folder, seed, options.resume is not None)
         return _report(outcome, options.folder)
     except ProcessLost as error:
-        how = f"its last check is kept: go on with  foveate train --resume {options.folder}"
+        how = f"its last validation is kept: resume with  foveate train --resume {options.folder}"
         print(f"foveate: {error}; {how}", file=sys.stderr, flush=True)
         # Not by sys.exit, which would wait for the lost process.
         os._exit(1)
 
 
 def _begun(options: Train) -> Experiment:
-    """The experiment that the options ask for."""
+    """Experiment of the options."""
     if options.preset is not None and options.config is not None:
         raise InputError("--preset and --config: each is a whole experiment: give one of them")
     experiment = experiment_from(options.config or options.preset or "paper")
@@ -45,14 +45,14 @@ def _resumed(options: Train) -> tuple[Experiment, int]:
     """Experiment and seed of the run to resume. Raises InputError for options that would change them."""
     for name in ("preset", "config", "algorithm", "epochs", "episodes", "steps", "out", "window", "remat"):
         if getattr(options, name) not in (None, False):
-            raise InputError(f"--{name} and --resume: a run goes on with the settings it began with")
+            raise InputError(f"--{name} and --resume: a run resumes with its own settings")
     if options.seed != 0:
-        raise InputError("--seed and --resume: a run goes on with the seed it began with")
+        raise InputError("--seed and --resume: a run resumes with its own seed")
     return stored_run(options.folder)
 
 
 def _train(experiment: Experiment, out: Path, seed: int, resume: bool) -> Outcome:
-    """Train, and print how to go on where it is interrupted or fails."""
+    """Train; when interrupted or failed, print how to resume."""
     try:
         with folder_of_this_process(out, resume) as folder, watched(experiment, str(out)) as report:
             return train(experiment, folder, seed, resume, report)
@@ -65,19 +65,19 @@ def _train(experiment: Experiment, out: Path, seed: int, resume: bool) -> Outcom
 
 
 def _kept(out: Path, by_ppo: bool) -> str:
-    """What there is of a training that did not come to its end."""
+    """Describe what an unfinished training leaves."""
     if by_ppo:
-        return "its best so far is kept" if (out / BEST).exists() else "there is no policy of it yet"
+        return "its best policy so far is kept" if (out / BEST).exists() else "it has no policy yet"
     if not (out / CONFIG).exists():
         return "nothing was trained yet"
-    return f"its last check is kept: go on with  foveate train --resume {out}"
+    return f"its last validation is kept: resume with  foveate train --resume {out}"
 
 
 def _report(outcome: Outcome, out: Path) -> int:
     best = f"best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
     print(f"{out}: {best}")
     if outcome.rollbacks:
-        print(f"{out}: collapsed and went back to its best {outcome.rollbacks} times (metrics.jsonl says when)")
+        print(f"{out}: collapsed and was rolled back to its best {outcome.rollbacks} times (metrics.jsonl says when)")
     if outcome.stopped:
         print(f"{out}: stopped early: {outcome.stopped}", file=sys.stderr)
     return 1 if outcome.stopped else 0
