@@ -183,12 +183,12 @@ def test_a_window_shows_each_step(monkeypatch):
 
 def test_unknown_scenario_is_rejected():
     with pytest.raises(InputError, match=r"nobody: expected a preset \(paper, "):
-        Task(TaskSettings("nobody"), 1, anew=False)
+        Task(TaskSettings("nobody"), 1, autoreset=False)
 
 
 def test_wrong_use_is_named():
     for options, complaint in [
-        ({"protocol": "soft"}, "protocol = 'soft': expected 'true' or 'surrogate'"),
+        ({"protocol": "soft"}, "protocol = 'soft': expected 'surrogate' or 'true'"),
         ({"horizon": "never"}, "horizon = 'never'"),
         ({"length_m": 0.0}, "length_m = 0.0: expected > 0"),
     ]:

@@ -149,7 +149,7 @@ def median_fix_interval_s(recording: Recording) -> float:
 
 
 def default_max_gap_s(recording: Recording) -> float:
-    """Default of the gap that ends a sighting [s]: 2 s, or three median fix intervals of a slow clock (ships, animals)."""
+    """Default of the longest gap without absence [s]: 2 s, or three median fix intervals (ships, animals)."""
     return max(2.0, 3.0 * median_fix_interval_s(recording))
 
 

@@ -188,7 +188,7 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
 
 
 def _colour(lives: list[tuple[int, int]]) -> tuple[list[int], int]:
-    """Assign a column to each interval [first, last], in order of their starts: the fewest columns; and their number."""
+    """Assign a column to each interval [first, last], the fewest as starts are in order; return also their number."""
     column_of, columns = [0] * len(lives), 0
     taken: list[tuple[int, int]] = []  # heap of (last instant, column)
     for i in sorted(range(len(lives)), key=lambda i: lives[i][0]):
