@@ -42,7 +42,7 @@ class Report:
         for metric in self.metrics:
             ratio, baseline = self.ratios[metric.key], before.get(metric.key)
             relative = f"{ratio / baseline:.2f}" if baseline else ""
-            spread_text = f"{metric.spread:.0%}{' wide' * metric.is_wide}"
+            spread_text = f"{metric.spread:.0%}{' wide' * (metric.spread > timing.MAX_SPREAD)}"
             numbers = (f"{metric.value:.4g}", f"{ratio:.4g}", relative)
             rows.append((metric.key, metric.unit, *numbers, metric.better, spread_text))
         header = ("metric", "unit", "value", "ratio", "over baseline", "better", "spread")
@@ -51,7 +51,7 @@ class Report:
     def doubts(self, before: dict[str, float]) -> list[str]:
         """List metrics that are unreliable or missing, a line each."""
         lines, keys = [], {metric.key for metric in self.metrics}
-        if wide := [metric.key for metric in self.metrics if metric.is_wide]:
+        if wide := [metric.key for metric in self.metrics if metric.spread > timing.MAX_SPREAD]:
             load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
             lines.append(f"repeats differ widely (load {load}), measure again: {', '.join(wide)}")
         if "decision_onnx_us_8" not in keys:
@@ -89,24 +89,17 @@ def _machine_metrics(references: Sequence[dict[str, float]]) -> list[Metric]:
         rates = [each[reference] for each in references]
         return Metric(key=key, value=float(np.median(rates)) / size, unit=unit, better="higher", spread=spread(rates))
 
-    return [
-        metric("matmul_gflop_s", "matmul", "GFLOP/s", 1e9),
-        metric("python_loops_per_s", "python", "1/s", 1.0),
-    ]
+    return [metric("matmul_gflop_s", "matmul", "GFLOP/s", 1e9), metric("python_loops_per_s", "python", "1/s", 1.0)]
 
 
 def _machine() -> str:
     """Cores and model of the processor, and the accelerator if any."""
-    device = jax.devices()[0]
-    cores = f"{os.cpu_count()} cores, {_processor()}"
-    return cores if device.platform == "cpu" else f"{device.device_kind}, {cores}"
-
-
-def _processor() -> str:
-    facts = Path("/proc/cpuinfo")
+    device, facts = jax.devices()[0], Path("/proc/cpuinfo")
     lines = facts.read_text().splitlines() if facts.exists() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor() or platform.machine()
+    processor = models[0] if models else platform.processor() or platform.machine()
+    cores = f"{os.cpu_count()} cores, {processor}"
+    return cores if device.platform == "cpu" else f"{device.device_kind}, {cores}"
 
 
 def read_ratios(path: Path) -> dict[str, float]:

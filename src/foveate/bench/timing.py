@@ -24,6 +24,7 @@ CPU_MATRIX, ACCELERATOR_MATRIX = 2048, 8192
 """Side of the reference's matrix product: large enough for the full rate, small enough to be short."""
 
 Unit = Literal["s", "us", "1/s", "GFLOP/s", "MiB", "1"]
+Seconds = Sequence[float] | np.ndarray
 
 _COMPILATION_EVENT = "/jax/core/compile/backend_compile_duration"
 
@@ -39,11 +40,6 @@ class Metric:
     per: Literal["matmul", "python"] | None = None
     spread: float = 0.0
 
-    @property
-    def is_wide(self) -> bool:
-        """True where the repeats differ too much."""
-        return self.spread > MAX_SPREAD
-
     def ratio(self, references: dict[str, float]) -> float:
         """The value in operations of its reference, which a uniformly faster machine does not change."""
         if self.per is None:
@@ -52,24 +48,21 @@ class Metric:
         return {"s": self.value * rate, "us": 1e-6 * self.value * rate, "1/s": self.value / rate}[self.unit]
 
 
-def spread(seconds: Sequence[float] | np.ndarray) -> float:
+def spread(seconds: Seconds) -> float:
     """Distance between the quartiles, as a share of the median."""
     low, median, high = np.percentile(seconds, (25, 50, 75))
     return float((high - low) / median)
 
 
 def time_metric(
-    key: str,
-    seconds: Sequence[float] | np.ndarray,
-    unit: Literal["s", "us"] = "s",
-    per: Literal["matmul", "python"] = "python",
+    key: str, seconds: Seconds, unit: Literal["s", "us"] = "s", per: Literal["matmul", "python"] = "python"
 ) -> Metric:
     """Median time of a call, from the seconds of its repeats."""
     value = float(np.median(seconds)) * {"s": 1.0, "us": 1e6}[unit]
     return Metric(key=key, value=value, unit=unit, better="lower", per=per, spread=spread(seconds))
 
 
-def rate_metric(key: str, count: int | float, seconds: Sequence[float] | np.ndarray) -> Metric:
+def rate_metric(key: str, count: int | float, seconds: Seconds) -> Metric:
     """Median rate of a call that processes `count` items, from the seconds of its repeats."""
     value = count / float(np.median(seconds))
     return Metric(key=key, value=value, unit="1/s", better="higher", per="matmul", spread=spread(seconds))

@@ -1,6 +1,6 @@
 """Pictures of a Gymnasium environment's running episode, as `foveate render` draws them."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -8,14 +8,6 @@ from foveate.models.problem import Problem, first_information
 from foveate.plotting.animation import picture
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, state_data
 from foveate.simulation.batch import Batch
-
-
-class _Instant(NamedTuple):
-    pose: np.ndarray
-    mean: np.ndarray
-    information: np.ndarray
-    present: np.ndarray
-    visible: np.ndarray
 
 
 class Screen:
@@ -30,9 +22,7 @@ class Screen:
             import matplotlib.pyplot
 
             self._pyplot = matplotlib.pyplot
-        self._instants: list[_Instant] = []
         self._truth: np.ndarray | None = None
-        self._horizon = 0
 
     def begin(self, batch: Batch) -> None:
         """Begin with the first beliefs of an episode."""
@@ -41,32 +31,15 @@ class Screen:
         self._horizon = int(episode.horizon[0])
         self._truth = None if episode.truth is None else np.asarray(episode.truth.state[0], float)
         present = np.asarray(episode.present[0] if episode.arrivals is None else episode.arrivals.present[0, 0])
-        self._instants = [
-            _Instant(
-                pose=np.asarray(episode.pose[0], float),
-                mean=np.asarray(episode.mean[0], float),
-                information=np.asarray(first_information(self._problem, len(present)), float),
-                present=present,
-                visible=np.zeros_like(present),
-            )
-        ]
-        self._columns = np.flatnonzero(episode.present[0])
-        self._show()
+        self._columns, self._instants = np.flatnonzero(episode.present[0]), []
+        information = first_information(self._problem, len(present))
+        self._append(episode.pose[0], episode.mean[0], information, present, np.zeros_like(present))
 
     def add(self, batch: Batch) -> None:
         """Add the state after the last step."""
         assert batch.transition is not None, "the batch has stepped"
         state, visible = batch.transition.state, batch.transition.visible
-        self._instants.append(
-            _Instant(
-                pose=np.asarray(state.pose[0], float),
-                mean=np.asarray(state.mean[0], float),
-                information=np.asarray(state.information[0, -1], float),
-                present=np.asarray(state.present[0]),
-                visible=np.asarray(visible[0]),
-            )
-        )
-        self._show()
+        self._append(state.pose[0], state.mean[0], state.information[0, -1], state.present[0], visible[0])
 
     def picture(self) -> np.ndarray:
         """Draw the state after the last step: uint8, (height, width, 3)."""
@@ -95,7 +68,9 @@ class Screen:
             truth=mean if self._truth is None else self._truth[: self._horizon + 1, self._columns],
         )
 
-    def _show(self) -> None:
+    def _append(self, *instant: Any) -> None:
+        """Append pose, mean, information, presence and visibility; show them in the window, if any."""
+        self._instants.append([np.asarray(values, None if values.dtype == bool else float) for values in instant])
         if self._pyplot is None:
             return
         frame = self.picture()

@@ -63,8 +63,7 @@ def fit(
     require(tau > 0, "tau", tau, "expected > 0")
     part = load_window(recording, start, end)
     statistics = fit_statistics(part, tau, max_gap)
-    make_robot = _drive if part.dimension == 2 else _quadrotor
-    agent, view = make_robot(v_max, w_max, view_depth, view_angle_deg)
+    agent, view = _robot(part.dimension, v_max, w_max, view_depth, view_angle_deg)
     experiment = Experiment(
         scenario=Scenario(
             tau_s=tau,
@@ -82,13 +81,12 @@ def fit(
     return Fitted(experiment=experiment, statistics=statistics, recording=part)
 
 
-def _drive(v_max: float, w_max: float, depth_m: float, angle_deg: float) -> tuple[DifferentialDrive, SectorView]:
-    agent = DifferentialDrive(v_max_m_s=v_max, w_max_rad_s=w_max)
-    return agent, SectorView(depth_m=depth_m, angle_deg=angle_deg)
-
-
-def _quadrotor(v_max: float, w_max: float, depth_m: float, angle_deg: float) -> tuple[Quadrotor, FrustumView]:
-    """A quadrotor that climbs at half its speed, with a camera two thirds as high as wide."""
+def _robot(
+    dimension: int, v_max: float, w_max: float, depth_m: float, angle_deg: float
+) -> tuple[DifferentialDrive | Quadrotor, SectorView | FrustumView]:
+    """Agent and view: in space a quadrotor that climbs at half its speed, with a camera two thirds as high as wide."""
+    if dimension == 2:
+        return DifferentialDrive(v_max_m_s=v_max, w_max_rad_s=w_max), SectorView(depth_m=depth_m, angle_deg=angle_deg)
     agent = Quadrotor(kind="quadrotor", v_max_m_s=v_max, climb_max_m_s=0.5 * v_max, yaw_rate_max_rad_s=w_max)
     view = FrustumView(
         shape="frustum",

@@ -115,8 +115,8 @@ def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slot
     than `MAX_CELLS` instants x columns.
     """
     times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
-    lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
-    column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
+    lives = [(piece.first + np.flatnonzero(piece.present)[[0, -1]]).tolist() for piece in pieces]
+    column_of, columns = _colour(lives)
     _check_size(recording.name, len(times), columns)
     present = np.zeros((len(times), columns), dtype=bool)
     index = np.full((len(times), columns), -1)
@@ -187,16 +187,13 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
     return _Piece(first, bridged | on_fix, start + fraction * (track.positions_m[after] - start))
 
 
-def _colour(lives: list[tuple[int, int]]) -> tuple[list[int], int]:
+def _colour(lives: list[list[int]]) -> tuple[list[int], int]:
     """Assign a column to each interval [first, last], the fewest as starts are in order; return also their number."""
-    column_of, columns = [0] * len(lives), 0
-    taken: list[tuple[int, int]] = []  # heap of (last instant, column)
+    column_of = [0] * len(lives)
+    columns: list[tuple[int, int]] = []  # heap of (last instant, column)
     for i in sorted(range(len(lives)), key=lambda i: lives[i][0]):
         first, last = lives[i]
-        if taken and taken[0][0] <= first - 2:
-            column = heapq.heappop(taken)[1]
-        else:
-            column, columns = columns, columns + 1
-        column_of[i] = column
-        heapq.heappush(taken, (last, column))
-    return column_of, columns
+        is_free = columns and columns[0][0] <= first - 2
+        column_of[i] = heapq.heappop(columns)[1] if is_free else len(columns)
+        heapq.heappush(columns, (last, column_of[i]))
+    return column_of, len(columns)

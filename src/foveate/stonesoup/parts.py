@@ -111,8 +111,7 @@ class BodyMovable(FixedMovable):
         self, timestamp: datetime.datetime, start_timestamp: datetime.datetime | None = None
     ) -> set[ActionGenerator]:
         """The generator of all commands until `timestamp`."""
-        start = self.state.timestamp if start_timestamp is None else start_timestamp
-        times = {"start_time": start, "end_time": timestamp}
+        times = {"start_time": start_timestamp or self.state.timestamp, "end_time": timestamp}
         return {TwistActionGenerator(owner=self, attribute="pose", resolution=self.levels, **times)}
 
     def add_actions(self, actions: Sequence[Action]) -> bool:
