@@ -165,17 +165,13 @@ class PolicySensorManager(SensorManager):
     def _warn(self, trained: Problem) -> None:
         tau_s = float(trained.tau)
         own = problem_of(self._sensor, self.predictor, tau_s, np.eye(len(self._order)))
-        parts = {
-            "body and its limits": lambda problem: problem.agent,
-            "field of view": lambda problem: problem.sensor.view,
-            "noise of the sensor": lambda problem: problem.sensor.V,
-            f"motion of the targets over {tau_s:g} s": lambda problem: (
-                problem.motion.A,
-                problem.motion.W,
-                problem.motion.Z,
-            ),
+        pairs = {
+            "body and its limits": (trained.agent, own.agent),
+            "field of view": (trained.sensor.view, own.sensor.view),
+            "noise of the sensor": (trained.sensor.V, own.sensor.V),
+            f"motion of the targets over {tau_s:g} s": tuple((m.A, m.W, m.Z) for m in (trained.motion, own.motion)),
         }
-        if other := [name for name, part in parts.items() if not eqx.tree_equal(part(trained), part(own), rtol=1e-4)]:
+        if other := [name for name, pair in pairs.items() if not eqx.tree_equal(*pair, rtol=1e-4)]:
             warnings.warn(f"the policy was trained for another problem: {', '.join(other)}", stacklevel=3)
 
 
