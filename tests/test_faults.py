@@ -19,7 +19,7 @@ from foveate.policies.attention import AttentionSettings
 from foveate.policies.heuristics import heuristic
 from foveate.recordings.formats import load_recording
 from foveate.recordings.plausibility import warnings_for
-from foveate.recordings.replay import prepare_replay, replay
+from foveate.recordings.replay import drive, prepare_replay
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -44,7 +44,7 @@ def recorded(path, rows):
 
 def driven(recording, **options):
     ready = prepare_replay(WIDE, recording, [0.0, 0.0, 0.0], **options)
-    return replay(ready, "still", heuristic("still", ready.problem, 100.0))
+    return drive(ready, "still", heuristic("still", ready.problem, 100.0))
 
 
 def test_outliers_of_100_sigma_in_a_recording_are_refused_and_counted(tmp_path):

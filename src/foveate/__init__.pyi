@@ -33,8 +33,8 @@ from foveate.policies.attention import AttentionSettings as AttentionSettings
 from foveate.policies.heuristics import Steering as Steering
 from foveate.policies.heuristics import heuristic as heuristic
 from foveate.policies.pointer import PointerSettings as PointerSettings
-from foveate.recordings.compare import Comparison as Comparison
-from foveate.recordings.fitted import Fitted as Fitted
+from foveate.recordings.compare import ReplayResult as ReplayResult
+from foveate.recordings.fit import Fitted as Fitted
 from foveate.recordings.formats import load_recording as load_recording
 from foveate.recordings.recording import Recording as Recording
 from foveate.recordings.recording import Track as Track

@@ -26,7 +26,7 @@ from foveate.io.validate import check_count, seed_number
 from foveate.learning import train as training
 from foveate.names import InitialError, Learner, Preset
 from foveate.recordings.compare import replay as replay
-from foveate.recordings.fitted import fit as fit
+from foveate.recordings.fit import fit as fit
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import PROTOCOLS, Policy

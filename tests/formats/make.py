@@ -26,7 +26,7 @@ from foveate.policies.attention import AttentionSettings
 from foveate.policies.heuristics import heuristic
 from foveate.policies.pointer import PointerSettings
 from foveate.recordings.formats import load_recording
-from foveate.recordings.replay import VERSION, prepare_replay, replay, result
+from foveate.recordings.replay import VERSION, drive, prepare_replay, result
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings, write_scenes
 from foveate.simulation.records import PROTOCOLS, observe
@@ -91,7 +91,7 @@ def main() -> None:
     rows = evaluate(prepare(problem, world.scenario.scenes, [TWO, NONE]), "still", still, ("surrogate", "true"))
     facts = {"run": "paper", "scenes": "scenes.json", "experiment": digest(world), "seed": 0}
     write_result(HERE / "evaluation.json", rows, summarise(rows, 2), facts)
-    row, _ = replay(prepare_replay(world.scenario, recording, [0.0, 0.0, 0.0]), "still", still)
+    row, _ = drive(prepare_replay(world.scenario, recording, [0.0, 0.0, 0.0]), "still", still)
     facts = {"run": "paper", "recording": "recording.csv", "seed": 0}
     write_document(HERE / "replay.json", "replay", VERSION, result([row], world, recording, facts))
     assert all((HERE / name / BEST).exists() for name in RUNS)

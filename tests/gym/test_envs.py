@@ -189,7 +189,7 @@ def test_unknown_scenario_is_rejected():
 
 def test_wrong_use_is_named():
     for options, complaint in [
-        ({"protocol": "soft"}, "protocol = 'soft': expected 'true' or 'surrogate'"),
+        ({"protocol": "soft"}, "protocol = 'soft': expected 'surrogate' or 'true'"),
         ({"horizon": "never"}, "horizon = 'never'"),
         ({"length_m": 0.0}, "length_m = 0.0: expected > 0"),
     ]:

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from foveate.policies.heuristics import heuristic
 from foveate.recordings.formats import load_recording
 from foveate.recordings.plausibility import warnings_for
-from foveate.recordings.replay import default_agent_start, prepare_replay, random_agent_starts, replay
+from foveate.recordings.replay import default_agent_start, drive, prepare_replay, random_agent_starts
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -57,7 +57,7 @@ def inside(x: float, y: float) -> bool:
 def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> None:
     # Without the gate: `a` walks straight on, as this scenario does not expect.
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, gate=None)
-    row, trace = replay(ready, "still", heuristic("still", ready.problem, DEPTH))
+    row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
 
     position = {
         "a": lambda t: (-8 + t, 1.1),
@@ -109,7 +109,7 @@ def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> N
 
 def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
-    row, trace = replay(ready, "still", heuristic("still", ready.problem, DEPTH))
+    row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
     assert row.seen_time_fraction == 0.0
     # Only a moves further than the depth of the view from where it was first believed to be.
     assert row.lost == 1
@@ -123,7 +123,7 @@ def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
 
 def test_every_belief_begins_anew_when_its_target_appears(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
-    _, trace = replay(ready, "still", heuristic("still", ready.problem, DEPTH))
+    _, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
     index = ready.slots.track_index
     begins = (index[1:] >= 0) & (index[1:] != index[:-1])
     assert begins.sum() >= 2  # c, and d after its gap

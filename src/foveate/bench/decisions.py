@@ -1,4 +1,4 @@
-"""Measure the time of one decision by the number of targets, in JAX and in ONNX Runtime."""
+"""Time one decision by the number of targets, in JAX and in ONNX Runtime."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +13,11 @@ from foveate.models.problem import Problem
 from foveate.simulation.records import Observation, Policy
 
 TARGETS = (1, 8, 64, 1000)
-"""Numbers of targets that a decision is timed for."""
+"""Numbers of targets for which a decision is timed."""
 
 
 def observation_of(problem: Problem, targets: int) -> Observation:
-    """An observation of `targets` random beliefs."""
+    """Return an observation of `targets` random beliefs."""
     rng, n_y = np.random.default_rng(targets), problem.motion.state_size
     return Observation(
         step=jnp.zeros((), int),
@@ -31,20 +31,15 @@ def observation_of(problem: Problem, targets: int) -> Observation:
 
 
 def jax_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
-    """Decisions of the paper's network, compiled by JAX."""
-    problem = experiment.scenario.problem()
-    policy: Policy = experiment.policy.policy(problem, jax.random.key(0))
-    decide, key = jax.jit(lambda observation, key: policy(observation, (), key)[0]), jax.random.key(0)
-
-    def decide_for(targets: int) -> Callable[[], Any]:
-        observation = observation_of(problem, targets)
-        return lambda: decide(observation, key)
-
-    return _decisions("jax", decide_for, repeats)
+    """Time decisions of the paper's network, compiled by JAX."""
+    problem, key = experiment.scenario.problem(), jax.random.key(0)
+    policy: Policy = experiment.policy.policy(problem, key)
+    decide = jax.jit(lambda observation, key: policy(observation, (), key)[0])
+    return _decisions("jax", problem, lambda observation: lambda: decide(observation, key), repeats)
 
 
 def onnx_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
-    """Decisions of the exported network by ONNX Runtime, on one thread; nothing where the extra is missing."""
+    """Time decisions of the exported network by ONNX Runtime, on one thread; nothing where the extra is missing."""
     try:
         import onnxruntime
     except ImportError:
@@ -58,22 +53,23 @@ def onnx_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
     model = to_onnx(experiment, policy).SerializeToString()
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
-    def decide_for(targets: int) -> Callable[[], Any]:
-        observation = observation_of(problem, targets)
-        inputs = {name: np.asarray(getattr(observation, name))[None] for name in ("pose", "mean", "information")}
-        inputs = {name: value.astype(np.float32) for name, value in inputs.items()}
+    def decide_on(observation: Observation) -> Callable[[], Any]:
+        numbers = {name: getattr(observation, name) for name in ("pose", "mean", "information")}
+        inputs = {name: np.asarray(value, np.float32)[None] for name, value in numbers.items()}
         inputs["present"] = np.asarray(observation.present)[None]
         return lambda: session.run(None, inputs)
 
-    return _decisions("onnx", decide_for, repeats)
+    return _decisions("onnx", problem, decide_on, repeats)
 
 
-def _decisions(name: str, decide_for: Callable[[int], Callable[[], Any]], repeats: int) -> list[Metric]:
-    """Time of one decision, called alone and waited for, by the number of targets."""
+def _decisions(
+    name: str, problem: Problem, decide_on: Callable[[Observation], Callable[[], Any]], repeats: int
+) -> list[Metric]:
+    """Time one decision, called alone and waited for, by the number of targets."""
     metrics = []
     for targets in TARGETS:
         # A decision takes microseconds: many are timed at once.
-        decide, calls = decide_for(targets), max(20, 4000 // targets)
+        decide, calls = decide_on(observation_of(problem, targets)), max(20, 4000 // targets)
 
         def decide_all(decide=decide, calls=calls) -> None:
             for _ in range(calls):

@@ -1,4 +1,4 @@
-"""Measure simulation: rollouts, evaluation, environments and the omniscient planner."""
+"""Time simulation: rollouts, evaluation, environments and the omniscient planner."""
 
 import jax
 import jax.numpy as jnp
@@ -19,56 +19,50 @@ from foveate.simulation.rollout import rollout
 from foveate.simulation.suites import own_suite, scene_episodes
 
 ENVIRONMENTS = 1024
-"""Episodes of a batch of rollouts, and environments stepped in one batch."""
-
+"""Episodes of a batch of rollouts, and environments of a batch."""
 
 PLANNED_SCENES, PLANNED_TARGETS = 4, 5
-"""Scenes that are planned at once, and the number of targets in each."""
+"""Scenes planned at once, and the number of targets in each."""
 
 
 def simulation(experiment: Experiment, repeats: int) -> list[Metric]:
-    """Rollouts of training scenes without noise, and evaluation of the scenario's own suite by the real filter."""
+    """Time rollouts of training scenes without noise, and evaluation of the scenario's own suite by the real filter."""
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
     policy = experiment.policy.policy(problem, jax.random.key(0))
     keys = jax.random.split(jax.random.key(0), ENVIRONMENTS)
     episodes = jax.jit(jax.vmap(lambda key: training_episode(problem, settings, key, noise=False)))(keys)
-    # Padding and steps after an episode's horizon are simulated, too, but do not count.
+    # Padding and steps after an episode's horizon are simulated too, but do not count.
     rollout_steps = float(jnp.sum(jnp.sum(episodes.present, axis=-1) * episodes.horizon))
-    play = jax.jit(jax.vmap(lambda e, k: rollout(problem, policy, e, SURROGATE, k).log_det))
+    play = jax.jit(jax.vmap(lambda episode, key: rollout(problem, policy, episode, SURROGATE, key).log_det))
     suite = prepare(problem, settings, own_suite(settings, problem), episodes=4)
     evaluation_steps = sum(len(scene.targets) * scene.horizon for scene in suite.scenes) * suite.episodes_per_scene
-    seconds = in_turn(
-        [lambda: play(episodes, keys), lambda: evaluate_traces(suite, policy, PROTOCOLS["true"])], repeats
-    )
+    calls = [lambda: play(episodes, keys), lambda: evaluate_traces(suite, policy, PROTOCOLS["true"])]
+    rollout_s, evaluation_s = in_turn(calls, repeats).T
     return [
-        rate_metric("rollout_target_steps_per_s", rollout_steps, seconds[:, 0]),
-        rate_metric("evaluation_target_steps_per_s", evaluation_steps, seconds[:, 1]),
-        rate_metric("evaluation_episodes_per_s", len(suite.scenes) * suite.episodes_per_scene, seconds[:, 1]),
+        rate_metric("rollout_target_steps_per_s", rollout_steps, rollout_s),
+        rate_metric("evaluation_target_steps_per_s", evaluation_steps, evaluation_s),
+        rate_metric("evaluation_episodes_per_s", len(suite.scenes) * suite.episodes_per_scene, evaluation_s),
     ]
 
 
 def environments(experiment: Experiment, repeats: int) -> list[Metric]:
-    """Steps of a batch of environments, numpy arrays in and out, with episodes reset where they end."""
-    scenario = experiment.scenario
-    problem = scenario.problem()
+    """Time steps of a batch of environments, numpy arrays in and out, with episodes reset where they end."""
+    problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
 
     def features(observation: Observation, left: jax.Array) -> jax.Array:
         return masked_features(observation, left, problem.agent.space, "body").row
 
-    environment = Environment(problem, scenario.scenes, PROTOCOLS["true"], True)
-    batch = Batch(CompiledEnvironments(environment, features, ENVIRONMENTS))
+    batch = Batch(CompiledEnvironments(Environment(problem, settings, PROTOCOLS["true"], True), features, ENVIRONMENTS))
     batch.renew(jax.random.split(jax.random.key(0), ENVIRONMENTS))
-    shape = (32, ENVIRONMENTS, batch.axes)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (32, ENVIRONMENTS, batch.axes)).astype(np.float32)
     seconds = in_turn([lambda: np.stack([batch.step(action).reward for action in actions])], repeats)[:, 0]
     return [rate_metric(f"env_steps_per_s_{ENVIRONMENTS}", len(actions) * ENVIRONMENTS, seconds)]
 
 
 def planning(experiment: Experiment, repeats: int) -> list[Metric]:
-    """Scenes per second for which the omniscient planner makes a plan, from all its starts."""
+    """Time plans of the omniscient planner, from all its starts."""
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
-    suite = own_suite(settings, problem)
-    scenes = [scene for scene in suite if len(scene.targets) == PLANNED_TARGETS][:PLANNED_SCENES]
+    scenes = [scene for scene in own_suite(settings, problem) if len(scene.targets) == PLANNED_TARGETS][:PLANNED_SCENES]
     episodes = scene_episodes(problem, settings, scenes, seed=0, episodes=1)
     keys = jax.random.split(jax.random.key(0), len(scenes))
 

@@ -1,8 +1,8 @@
-"""Measure training steps against their limit, and count the programs that a training compiles.
+"""Time training steps against their limit, and count the programs that a training compiles.
 
 The *limit* of a training step is arithmetic alone: the dense multiply-adds of the policy's layers on targets and steps
 that are real (no padding, no finished episode), forward and twice that backward, 2 operations each, at the rate of a
-large float32 matrix product that is measured in turn with the step.
+large float32 matrix product, timed in turn with the step.
 """
 
 import tempfile
@@ -38,8 +38,7 @@ from foveate.policies.attention import AttentionPolicy
 from foveate.scenario.scenes import SceneSettings
 
 EPISODES_PER_CALL = 1200
-"""Episodes in a timed call of the training program, about: enough that the call's own overhead does not show."""
-
+"""Approximate number of episodes in a timed call of the training program: enough to hide the call's own overhead."""
 
 PAPER_EPISODES = 60
 """Episodes of the paper's training step, for which compilation is reported."""
@@ -58,7 +57,7 @@ def mean_steps(scenes: SceneSettings) -> tuple[float, float]:
 
 
 def minimum_operations(policy: AttentionPolicy, scenes: SceneSettings, episodes: int) -> float:
-    """Floating-point operations that a training step needs at least: forward, and twice that backward."""
+    """Fewest floating-point operations of a training step: forward, and twice that backward."""
     per_target, agent = layer_products(policy)
     steps, target_steps = mean_steps(scenes)
     return 3 * 2.0 * episodes * (target_steps * per_target + steps * agent)
@@ -67,10 +66,10 @@ def minimum_operations(policy: AttentionPolicy, scenes: SceneSettings, episodes:
 def network_program(
     problem: Problem, scenes: SceneSettings, training: TrainingSettings, policy: AttentionPolicy
 ) -> Callable:
-    """A compiled function of a count that takes `count` steps of ascent on decisions alone, without simulation.
+    """Compile a function that takes `count` steps of ascent on decisions alone, without simulation.
 
     It makes as many decisions as real episodes have, each for their mean number of targets. Without padding, beliefs
-    and back-propagation through states it is nearer to the limit than a training step can be.
+    and back-propagation through states it is closer to the limit than a training step can be.
     """
     steps, target_steps = mean_steps(scenes)
     decisions, space = round(training.episodes * steps), problem.agent.space
@@ -100,7 +99,7 @@ def network_program(
 
 
 def training_step(experiment: Experiment, episodes: int, repeats: int) -> list[Metric]:
-    """Time of a step of ascent on `episodes`, over its limit and in seconds, and its compilation."""
+    """Time a step of ascent on `episodes`, over its limit and in seconds, and its compilation."""
     assert isinstance(experiment.training, TrainingSettings), "the paper's learner is measured"
     problem, scenes = experiment.scenario.problem(), experiment.scenario.scenes
     training = replace(experiment.training, episodes=episodes)
@@ -137,7 +136,7 @@ def training_step(experiment: Experiment, episodes: int, repeats: int) -> list[M
 
 
 def compilation_counts(experiment: Experiment) -> list[Metric]:
-    """Programs that a training compiles in all, and after its first validation, where there should be none."""
+    """Count the programs that a training compiles in all, and after its first validation, where none should be."""
     training = replace(experiment.training, epochs=5, check_every=2)
     counts: list[int] = []
     with tempfile.TemporaryDirectory() as folder, compilations() as compiled:
@@ -146,8 +145,5 @@ def compilation_counts(experiment: Experiment) -> list[Metric]:
             Path(folder) / "run",
             on_validation=lambda validation, total: counts.append(len(compiled)),
         )
-    late = counts[-1] - counts[0]
-    return [
-        Metric(key="train_compilations", value=float(len(compiled)), unit="1", better="lower"),
-        Metric(key="train_late_compilations", value=float(late), unit="1", better="lower"),
-    ]
+    numbers = {"train_compilations": len(compiled), "train_late_compilations": counts[-1] - counts[0]}
+    return [Metric(key=key, value=float(value), unit="1", better="lower") for key, value in numbers.items()]

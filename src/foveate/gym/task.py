@@ -1,11 +1,11 @@
-"""Parts that both kinds of Gymnasium environment share: checked options, simulation, spaces, seeds."""
+"""Task behind both kinds of Gymnasium environment: validated options, simulation, spaces, seeds."""
 
 import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_type_hints
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxtyping import Key
 
 from foveate.errors import InputError
 from foveate.experiment.resolve import experiment_from
+from foveate.io.validate import require
 from foveate.names import ProtocolName
 from foveate.policies.inputs import Features, Frame, Scale, masked_features
 from foveate.scenario.scenario import Scenario
@@ -24,18 +25,18 @@ from foveate.simulation.records import PROTOCOLS, Observation
 from foveate.types import Scalar
 
 BOUND = np.finfo(np.float32).max
-"""Bound of observed numbers without one: checkers of environments complain of infinite bounds."""
+"""Bound of unbounded observations: environment checkers reject infinite bounds."""
 
 
 @dataclass(frozen=True)
 class TaskSettings:
     """Options of `gymnasium.make`: scenario, protocol and observation of an environment.
 
-    `protocol` is the source of information (`true`: only targets really in view); without `noise` an episode is that of
-    the paper's training, which only `surrogate` allows. The reward is the growth of the mean log det per target [nat].
-    The `horizon` ends an episode as `truncated`, or as `terminated`, after which nothing has value, for learners of the
-    score at the horizon itself. `observation` is a dict of arrays or one flat row of the same numbers: see
-    `policies.inputs`, whose options are `frame`, `information` and `length_m` (None: the depth of the view).
+    `protocol` is the source of information (`true`: only targets actually in view); episodes without `noise` are those
+    of the paper's training, which only `surrogate` allows. The reward is the growth of the mean log det per target
+    [nat]. The `horizon` ends an episode as `truncated`, or as `terminated` for learners of the score at the horizon
+    itself: later states have no value. `observation` is a dict of arrays or a flat row of the same numbers (see
+    `policies.inputs`), with the options `frame`, `information` and `length_m` (None: the depth of the view).
     """
 
     scenario: Scenario | str | Path = "paper"
@@ -49,25 +50,18 @@ class TaskSettings:
     length_m: float | None = None
 
     def __post_init__(self) -> None:
-        choices = {
-            "protocol": ("true", "surrogate"),
-            "horizon": ("truncated", "terminated"),
-            "observation": ("dict", "flat"),
-            "frame": ("body", "world"),
-            "information": ("asinh", "plain"),
-        }
-        for name, known in choices.items():
-            if getattr(self, name) not in known:
-                raise InputError(f"{name} = {getattr(self, name)!r}: expected {' or '.join(map(repr, known))}")
-        if self.length_m is not None and not self.length_m > 0:
-            raise InputError(f"length_m = {self.length_m}: expected > 0")
+        hints = get_type_hints(type(self))
+        for name in ("protocol", "horizon", "observation", "frame", "information"):
+            value, choices = getattr(self, name), get_args(hints[name])
+            require(value in choices, name, value, f"expected {' or '.join(map(repr, choices))}")
+        require(self.length_m is None or self.length_m > 0, "length_m", self.length_m, "expected > 0")
 
 
 @functools.lru_cache(maxsize=8)
 def _programs(
     scenario: Scenario, protocol: str, noise: bool, inputs: tuple[Frame, float, Scale], count: int
 ) -> CompiledEnvironments:
-    """One compilation for all environments with these options."""
+    """Compile once for all environments with these options."""
     problem, (frame, length_m, information) = scenario.problem(), inputs
     environment = Environment(problem, scenario.scenes, PROTOCOLS[protocol], noise)
 
@@ -93,30 +87,27 @@ class Task:
         self.action_space = spaces.Box(-1.0, 1.0, (self.batch.axes,), np.float32)
 
     def observation(self, seen: Features, index: int | None = None) -> dict[str, np.ndarray] | np.ndarray:
-        """Observation in the form that the settings ask for, of all environments or of one."""
+        """Observation in the form of the settings, of all environments or one."""
         if self.settings.observation == "flat":
             parts = [x.reshape(len(x), -1) if index is None else x[index].ravel() for x in seen]
             return np.concatenate(parts, axis=-1)
         return {name: x if index is None else x[index] for name, x in seen._asdict().items()}
 
     def targets(self, options: Mapping[str, Any]) -> np.ndarray:
-        """Number of targets of each of the next episodes, 0 where it is random.
-
-        Raises InputError for unknown options, and numbers that the scenario does not allow.
-        """
+        """Number of targets of each environment's next episode, 0 where it is random."""
         if unknown := sorted(set(options) - {"targets", "reset_mask"}):
             raise InputError(f"options[{unknown[0]!r}]: expected 'targets', or 'reset_mask' of a vector environment")
-        asked = options.get("targets")
-        if asked is None:
+        targets = options.get("targets")
+        if targets is None:
             return np.zeros(self.batch.count, np.int32)
         low, high = self.scenes.targets_min, self.scenes.targets_max
-        numbers = np.broadcast_to(np.asarray(asked), (self.batch.count,))
-        if numbers.dtype.kind not in "iu" or not ((numbers >= low) & (numbers <= high)).all():
-            raise InputError(f"options['targets'] = {asked!r}: expected whole numbers from {low} to {high}")
+        numbers = np.broadcast_to(np.asarray(targets), (self.batch.count,))
+        valid = numbers.dtype.kind in "iu" and ((numbers >= low) & (numbers <= high)).all()
+        require(valid, "options['targets']", targets, f"expected whole numbers from {low} to {high}")
         return numbers.astype(np.int32)
 
     def actions(self, actions: Any) -> np.ndarray:
-        """Actions (b, m) as a float32 array. Raises InputError for another shape, and numbers that are not finite."""
+        """Validated actions (b, m) as a float32 array."""
         array, shape = np.asarray(actions, np.float32), (self.batch.count, self.batch.axes)
         if array.shape != shape:
             raise InputError(f"actions have shape {array.shape}: expected {shape}")
@@ -125,29 +116,33 @@ class Task:
         return array
 
     def ends(self, done: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`terminated` and `truncated`, of which the settings choose one for the end at the horizon."""
+        """`terminated` and `truncated`: the settings choose which of them ends an episode at the horizon."""
         neither = np.zeros_like(done)
         return (done, neither) if self.settings.horizon == "terminated" else (neither, done)
 
+    def keys(self, seeds: Sequence[int | None], rng: np.random.Generator) -> Key[jax.Array, " b"]:
+        """Key of each environment's next episode: from its seed, or the next of its sequence, at first from `rng`."""
+        given = np.array([seed is not None for seed in seeds])
+        if self.batch.states is None:
+            return _keys_of(seeds, rng)
+        current = self.batch.states.key
+        return jnp.where(given, _keys_of(seeds, rng), current) if given.any() else current
 
-def keys_of(seeds: Sequence[int | None], rng: np.random.Generator) -> Key[jax.Array, " b"]:
-    """A key for each seed, any whole number from 0; one from `rng` for None."""
-    own_seeds = rng.integers(2**63, size=len(seeds)).tolist()
+
+def _keys_of(seeds: Sequence[int | None], rng: np.random.Generator) -> Key[jax.Array, " b"]:
+    """A key for each seed, any whole number from 0; a random one for None."""
+    random_seeds = rng.integers(2**63, size=len(seeds)).tolist()
     # SeedSequence spreads seeds of any size, and close ones, over all bits; a key has only 64 of them.
-    states = [np.random.SeedSequence(own if seed is None else seed) for seed, own in zip(seeds, own_seeds, strict=True)]
-    words = np.stack([state.generate_state(2, np.uint32) for state in states])
+    chosen = [other if seed is None else seed for seed, other in zip(seeds, random_seeds, strict=True)]
+    words = np.stack([np.random.SeedSequence(seed).generate_state(2, np.uint32) for seed in chosen])
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
 def _space(seen: Features, flat: bool) -> spaces.Space:
-    shapes: dict[str, tuple[int, ...]] = {name: x.shape[1:] for name, x in seen._asdict().items()}
+    shapes = {name: x.shape[1:] for name, x in seen._asdict().items()}
     if flat:
-        return _box((sum(map(math.prod, shapes.values())),))
-    boxes: dict[str, spaces.Space] = {name: _box(shape) for name, shape in shapes.items()}
-    for name in ("mask", "left"):
-        boxes[name] = spaces.Box(0.0, 1.0, shapes[name], np.float32)
-    return spaces.Dict(boxes)
-
-
-def _box(shape: tuple[int, ...]) -> spaces.Box:
-    return spaces.Box(-BOUND, BOUND, shape, np.float32)
+        return spaces.Box(-BOUND, BOUND, (sum(map(math.prod, shapes.values())),), np.float32)
+    bounds = {"mask": (0.0, 1.0), "left": (0.0, 1.0)}
+    return spaces.Dict(
+        {name: spaces.Box(*bounds.get(name, (-BOUND, BOUND)), shape, np.float32) for name, shape in shapes.items()}
+    )

@@ -5,21 +5,21 @@ from pathlib import Path
 from foveate.plotting.animation import animate
 from foveate.plotting.episode_data import EpisodeData, episode_data
 from foveate.plotting.figures import replay_figure
-from foveate.recordings.compare import Comparison
-from foveate.recordings.replay import Replay
+from foveate.recordings.compare import ReplayResult
+from foveate.recordings.replay import PreparedReplay
 from foveate.simulation.records import Trace
 
 
-def replay_data(ready: Replay, trace: Trace, title: str) -> EpisodeData:
+def replay_data(ready: PreparedReplay, trace: Trace, title: str) -> EpisodeData:
     """One method on a recording, to be drawn."""
     steps, columns = trace.visible.shape
     return episode_data(ready.problem, trace, ready.truth, steps, columns, title)
 
 
-def draw_comparison(comparison: Comparison, folder: Path) -> str:
+def draw_replay(result: ReplayResult, folder: Path) -> str:
     """Write replay.png, of every method, and replay.gif, of the first: returns its name."""
-    name_of = comparison.settings.recording
-    data = {name: replay_data(*run, f"{name} on {name_of}") for name, run in comparison.traces.items()}
+    name_of = result.settings.recording
+    data = {name: replay_data(*run, f"{name} on {name_of}") for name, run in result.traces.items()}
     replay_figure(data, folder / "replay.png")
     first = next(iter(data))
     animate(data[first], folder / "replay.gif")

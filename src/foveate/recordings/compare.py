@@ -1,4 +1,4 @@
-"""Compare methods on a recording: each is driven through it from the same starts, with the same noise."""
+"""Compare methods on a recording: each drives through it from the same starts, with the same noise."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -15,20 +15,12 @@ from foveate.io.progress import Bar
 from foveate.io.tables import Table, html, text
 from foveate.io.validate import check_count, seed_number
 from foveate.names import GATE
-from foveate.recordings.fitted import as_recording
+from foveate.recordings import replay as replays
+from foveate.recordings.formats import load_window
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.plausibility import warnings_for
-from foveate.recordings.recording import Recording, window
-from foveate.recordings.replay import (
-    VERSION,
-    Replay,
-    ReplayRow,
-    default_agent_start,
-    prepare_replay,
-    random_agent_starts,
-    result,
-)
-from foveate.recordings.replay import replay as drive
+from foveate.recordings.recording import Recording
+from foveate.recordings.replay import PreparedReplay, ReplayRow, prepare_replay
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Policy, Trace
 
@@ -49,7 +41,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class ReplaySettings:
-    """All that a comparison depends on beside the experiment and the recording; times in [s], poses in [m, rad]."""
+    """Settings of a replay beside the experiment and the recording; times in [s], poses in [m, rad]."""
 
     run: str
     recording: str
@@ -65,11 +57,11 @@ class ReplaySettings:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Comparison:
-    """Methods that were driven through a recording.
+class ReplayResult:
+    """Results of methods on a recording; shows itself as a table of means over the starts.
 
-    `rows`: one a method and start (`recordings.replay.ReplayRow`). `warnings`: lines to read before trusting them.
-    `traces`: of each method from the first start, for pictures. Shows itself as a table of means over the starts.
+    `rows`: one for each method and start (`recordings.replay.ReplayRow`). `warnings`: reasons to doubt them. `traces`:
+    of each method from the first start, for pictures.
     """
 
     experiment: Experiment
@@ -77,7 +69,7 @@ class Comparison:
     settings: ReplaySettings
     rows: tuple[ReplayRow, ...]
     warnings: tuple[str, ...]
-    traces: dict[str, tuple[Replay, Trace]]
+    traces: dict[str, tuple[PreparedReplay, Trace]]
 
     @property
     def table(self) -> Table:
@@ -91,9 +83,9 @@ class Comparison:
         return Table(title=title, header=("method", "targets", *COLUMNS), rows=tuple(lines))
 
     def to_json(self, path: str | Path) -> None:
-        """Write the rows for programs, as `foveate replay --json`."""
-        content = result(self.rows, self.experiment, self.recording, asdict(self.settings))
-        write_document(path, "replay", VERSION, content)
+        """Write the rows as JSON, as `foveate replay --json`."""
+        content = replays.result(self.rows, self.experiment, self.recording, asdict(self.settings))
+        write_document(path, "replay", replays.VERSION, content)
 
     def __repr__(self) -> str:
         return text(self.table)
@@ -103,30 +95,27 @@ class Comparison:
 
 
 def _mean(values: Sequence[float | int | None], form: str) -> str:
-    known = [value for value in values if value is not None]
-    return f"{np.mean(known):{form}}" if known else "-"
+    numbers = [value for value in values if value is not None]
+    return f"{np.mean(numbers):{form}}" if numbers else "-"
 
 
-def agent_starts(
+def _agent_starts(
     recording: Recording, scenario: Scenario, given: Sequence[float] | None, count: int, seed: int
 ) -> list[list[float]]:
-    """Poses to start from: the one that is given, several random ones, or the middle of the recording.
-
-    Raises InputError where `given` is no pose of the scenario's space, or more than one start is asked for beside it.
-    """
+    """Return the given pose, several random ones, or the middle of the recording."""
     check_count(count, "starts")
-    if given is not None:
-        if count > 1:
-            raise InputError("agent_start and starts: expected one of them")
-        numbers = [float(number) for number in given]
-        try:
-            scenario.agent.agent().space.from_numbers(numbers)
-        except InputError as error:
-            raise InputError(f"agent_start {','.join(f'{number:g}' for number in numbers)}: {error}") from None
-        return [numbers]
+    if given is None and count > 1:
+        return replays.random_agent_starts(recording, scenario, count, seed)
+    if given is None:
+        return [replays.default_agent_start(recording, scenario)]
     if count > 1:
-        return random_agent_starts(recording, scenario, count, seed)
-    return [default_agent_start(recording, scenario)]
+        raise InputError("agent_start and starts: expected one of them")
+    numbers = [float(number) for number in given]
+    try:
+        scenario.agent.agent().space.from_numbers(numbers)
+    except InputError as error:
+        raise InputError(f"agent_start {','.join(f'{number:g}' for number in numbers)}: {error}") from None
+    return [numbers]
 
 
 def replay(
@@ -143,7 +132,7 @@ def replay(
     seed: int = 0,
     scenario: Scenario | None = None,
     progress: bool = True,
-) -> Comparison:
+) -> ReplayResult:
     """Drive a policy, and heuristics beside it, through a recording of real targets, all with the same noise.
 
     Lines that begin with "warning:" go to standard error.
@@ -157,12 +146,12 @@ def replay(
         agent_start: pose to start from [m, rad], as numbers; by default the middle of the recording.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
-        gate: probability of the filter's chi-square gate; None takes every measurement.
+        gate: probability of the filter's chi-square gate; None accepts every measurement.
         seed: of the noise and of random starts.
-        scenario: another one than the policy was trained for.
+        scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
-    subject, part = subject_of(policy, scenario), window(as_recording(recording), start, end)
+    subject, part = subject_of(policy, scenario), load_window(recording, start, end)
     settings = ReplaySettings(
         run=subject.name,
         recording=Path(part.name).name,
@@ -171,14 +160,14 @@ def replay(
         start_s=start,
         end_s=end,
         max_gap_s=default_max_gap_s(part) if max_gap is None else max_gap,
-        starts=agent_starts(part, subject.experiment.scenario, agent_start, starts, seed),
+        starts=_agent_starts(part, subject.experiment.scenario, agent_start, starts, seed),
     )
-    return _compare(subject, methods_of(method), part, settings, quiet=not progress)
+    return _run(subject, methods_of(method), part, settings, quiet=not progress)
 
 
-def _compare(
+def _run(
     subject: Subject, methods: Sequence[str], part: Recording, settings: ReplaySettings, quiet: bool
-) -> Comparison:
+) -> ReplayResult:
     scenario, box_world = subject.experiment.scenario, jnp.asarray(np.stack(part.extent), float)
     policies = {name: subject.policy(name, box_world) for name in methods}
     rows, traces, warnings = [], {}, []
@@ -190,11 +179,11 @@ def _compare(
                 for line in warnings:
                     bar.say(f"warning: {line}")
             for name, policy in policies.items():
-                row, trace = drive(ready, name, policy)
+                row, trace = replays.drive(ready, name, policy)
                 rows.append(row)
                 traces.setdefault(name, (ready, trace))
                 bar.update(len(rows), name)
-    return Comparison(
+    return ReplayResult(
         experiment=subject.experiment,
         recording=part,
         settings=settings,

@@ -13,7 +13,7 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.io.files import read_text
-from foveate.recordings.recording import Recording, Track
+from foveate.recordings.recording import Recording, Track, window
 
 COLUMNS = ("time_s", "track_id", "x_m", "y_m", "z_m")
 MAX_LINE_BYTES = 4096
@@ -22,15 +22,12 @@ _HEADER = "the header must be time_s,track_id,x_m,y_m or time_s,track_id,x_m,y_m
 
 
 def load_recording(path: str | PathLike[str]) -> Recording:
-    """Read a recording, strictly.
+    """Read a recording; an InputError names file, line number, the value, and what would be right.
 
-    Track ids are text, numbers too ("7" and "07" differ; blanks around them do not count). Blank lines and a
-    byte-order mark are ignored. Memory grows only with the number of fixes, (d + 2) numbers for each. If a file of the
-    same name and .sha256 lies beside the recording (`sha256sum r.csv > r.csv.sha256`), the recording must have that
-    sum: CSV itself does not show a changed digit.
-
-    Raises:
-        InputError: one line with file, line number, the value, and what would be right.
+    Track ids are text, even if they look like numbers ("7" and "07" differ); surrounding blanks are removed. Blank
+    lines and a byte-order mark are ignored. Memory grows only with the number of fixes, (d + 2) numbers for each. A
+    file of the same name and .sha256 beside the recording (`sha256sum r.csv > r.csv.sha256`) must match its checksum:
+    CSV itself does not show a changed digit.
     """
     path = Path(path)
     try:
@@ -48,34 +45,32 @@ def load_recording(path: str | PathLike[str]) -> Recording:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
+def load_window(recording: Recording | str | Path, start_s: float | None, end_s: float | None) -> Recording:
+    """Cut a recording as `window` does; a path is read first."""
+    return window(recording if isinstance(recording, Recording) else load_recording(recording), start_s, end_s)
+
+
 def _check_sum(path: Path, sha256: str) -> None:
-    """Raise InputError where a sum lies beside the recording, and is another."""
+    """Raise InputError where a checksum file beside the recording does not match it."""
     beside = path.with_name(f"{path.name}.sha256")
-    if not sha256 or not beside.is_file():
-        return
-    if read_text(beside, "SHA-256 sum").split()[:1] != [sha256]:
+    if sha256 and beside.is_file() and read_text(beside, "SHA-256 sum").split()[:1] != [sha256]:
         raise InputError(f"{path}: is cut short, damaged or changed: {beside.name} says another SHA-256 sum")
 
 
 def _parse(path: Path, file: BinaryIO) -> Recording:
-    """Parse the rows into tracks."""
     reader = csv.reader(_lines(file), strict=True)
-    # A record in quotes may span lines: an error names the line on which it begins.
-    line = 1
+    line = 1  # on which a record begins: in quotes it may span several
     try:
         dimension = _header_dimension(next(reader, None))
         times, points, owners = array("d"), array("d"), array("q")
         index_of: dict[str, int] = {}
-        # Times are sorted, so a duplicate can only repeat its track's last time.
-        last_s: list[float] = []
-        now_s = -np.inf
+        latest_s, last_s = -np.inf, []  # of all tracks, and of each: sorted, so a duplicate repeats its track's last
         line = reader.line_num + 1
         for row in reader:
             if row:
                 time_s, track_id, *point = _row(row, dimension)
-                if time_s < now_s:
-                    raise InputError(f"time_s {time_s!r} comes after {now_s!r}; rows must be sorted by time")
-                now_s = time_s
+                if time_s < latest_s:
+                    raise InputError(f"time_s {time_s!r} comes after {latest_s!r}; rows must be sorted by time")
                 owner = index_of.get(track_id)
                 if owner is None:
                     owner = index_of[_checked_id(track_id)] = len(last_s)
@@ -85,7 +80,7 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
                         f"track_id {track_id!r} has two rows at time_s {time_s!r}; "
                         "there must be one row for each time and track"
                     )
-                last_s[owner] = time_s
+                latest_s = last_s[owner] = time_s
                 times.append(time_s)
                 points.extend(point)
                 owners.append(owner)
@@ -100,7 +95,7 @@ def _parse(path: Path, file: BinaryIO) -> Recording:
 
 
 def _lines(file: BinaryIO) -> Iterator[str]:
-    """Yield decoded lines of bounded length: a file that is no text at all must not fill the memory."""
+    """Yield decoded lines of bounded length, so that a binary file does not fill the memory."""
     encoding = "utf-8-sig"
     while raw := file.readline(MAX_LINE_BYTES + 1):
         if len(raw) > MAX_LINE_BYTES:
@@ -108,24 +103,23 @@ def _lines(file: BinaryIO) -> Iterator[str]:
         try:
             yield raw.decode(encoding)
         except UnicodeDecodeError as error:
-            bad = raw[error.start : error.start + 1]
-            raise InputError(f"byte {bad!r} is not UTF-8; save the file as UTF-8 text") from None
+            byte = raw[error.start : error.start + 1]
+            raise InputError(f"byte {byte!r} is not UTF-8; save the file as UTF-8 text") from None
         encoding = "utf-8"
 
 
 def _header_dimension(header: list[str] | None) -> int:
-    if header is None:
-        raise InputError(f"the file is empty; {_HEADER}")
-    names = tuple(header)
+    names = tuple(header or ())
     if names in (COLUMNS[:4], COLUMNS):
         return len(names) - 2
-    unexpected = [name for i, name in enumerate(names) if name not in COLUMNS or name in names[:i]]
-    missing = [name for name in COLUMNS[:4] if name not in names]
-    if unexpected:
-        raise InputError(f"unexpected column {_shown(unexpected[0])}; {_HEADER}")
-    if missing:
-        raise InputError(f"column {missing[0]!r} is missing; {_HEADER}")
-    raise InputError(f"the columns {','.join(names)} are out of order; {_HEADER}")
+    problem = f"the columns {','.join(names)} are out of order"
+    if header is None:
+        problem = "the file is empty"
+    elif unexpected := [name for i, name in enumerate(names) if name not in COLUMNS or name in names[:i]]:
+        problem = f"unexpected column {_shown(unexpected[0])}"
+    elif missing := [name for name in COLUMNS[:4] if name not in names]:
+        problem = f"column {missing[0]!r} is missing"
+    raise InputError(f"{problem}; {_HEADER}")
 
 
 def _row(row: list[str], dimension: int) -> tuple:
@@ -143,9 +137,8 @@ def _number(text: str, column: str) -> float:
         value = np.nan
     # Python reads "1_000" as a number, a recording does not; NaN fails the comparison.
     if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE or "_" in text:
-        unit = "seconds" if column == "time_s" else "metres"
-        limit = f"at most {MAX_MAGNITUDE:g} in size"
-        raise InputError(f"{column} is {_shown(text)}; it must be a finite number of {unit}, {limit}")
+        right = f"a finite number of {'seconds' if column == 'time_s' else 'metres'}, at most {MAX_MAGNITUDE:g} in size"
+        raise InputError(f"{column} is {_shown(text)}; it must be {right}")
     return value
 
 

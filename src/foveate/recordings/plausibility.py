@@ -1,4 +1,4 @@
-"""Plausibility of a replay: does the recording contradict the scenario, or itself?"""
+"""Plausibility of a replay: contradictions between a recording and a scenario, or within the recording."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,16 +7,13 @@ from foveate.recordings.motion import fit_statistics, median_fix_interval_s
 from foveate.recordings.recording import Recording, Slots
 from foveate.scenario.scenario import Scenario
 
-MAX_CLOCK_GAP = 20.0
-"""A larger gap in the clock of the recording, in its median steps, is worth a warning."""
-
-MAX_VARIANCE_RATIO = 4.0
-"""A process noise off by more than this factor in variance is worth a warning."""
+MAX_CLOCK_GAP = 20.0  # larger gaps in the recording's clock, in its median steps, are worth a warning
+MAX_VARIANCE_RATIO = 4.0  # so is a process noise off by more than this factor in variance
 
 
 def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap_s: float) -> list[str]:
-    """Reasons to doubt the result of a replay, a line each; none where scenario and recording fit."""
-    lines = []
+    """List the reasons to doubt the result of a replay, a line each; none where scenario and recording fit."""
+    lines: list[str] = []
     most, trained = int(slots.present.sum(axis=1).max()), scenario.scenes.targets_max
     if most > trained:
         lines.append(f"up to {most} targets at once: the run's scenario goes up to {trained}")
@@ -41,11 +38,10 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
             statistics = fit_statistics(recording, float(scenario.tau_s), float(max_gap_s))
         except ValueError:  # too few pairs of fixes to estimate W
             return lines
-        walk = float(np.trace(statistics.walk_covariance_m2))
-        claimed = float(jnp.trace(motion.W))
+        walk, claimed = float(np.trace(statistics.walk_covariance_m2)), float(jnp.trace(motion.W))
         if not walk / MAX_VARIANCE_RATIO <= claimed <= walk * MAX_VARIANCE_RATIO:
             lines.append(
                 f"targets move {walk**0.5:.2g} m (rms) per step, the scenario's W claims {claimed**0.5:.2g} m: "
-                "beliefs will be too sure or too vague; fit a scenario to this recording"
+                "beliefs will be overconfident or too vague; fit a scenario to this recording"
             )
     return lines

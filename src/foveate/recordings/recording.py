@@ -1,8 +1,8 @@
 """Recordings of real targets: cut in time, sample at control instants, pack tracks into few columns.
 
-A recording is a CSV file with the header `time_s,track_id,x_m,y_m[,z_m]`: one row, a *fix*, says where one
-target was at one time. Rows are sorted by time; the clock may be irregular, and targets come and go. All
-positions are in the world frame [m], all times in seconds of the recording's own clock.
+A recording is a CSV file with the header `time_s,track_id,x_m,y_m[,z_m]`. Each row is a *fix*: the position of one
+target at one time. Rows are sorted by time; the clock may be irregular, and targets come and go. All positions are in
+the world frame [m], all times in seconds of the recording's own clock.
 """
 
 import heapq
@@ -56,11 +56,11 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slots:
-    """Recording at control instants t_k = start + k tau, in few columns, each of which serves one track after another.
+    """Recording at control instants t_k = start + k tau, in few columns, each of which holds one track after another.
 
-    `track_index` is the index into `track_ids` of the track that is present in a column, -1 where none is.
-    Where a column is empty, `positions_m` holds its last known position (its first one before that), never NaN.
-    `dropped` counts the tracks of the recording that are present at no instant and have no column.
+    `track_index` is the index into `track_ids` of the track that is present in a column, -1 where none is. Where a
+    column is empty, `positions_m` holds its latest position (its first one before that), never NaN. `dropped` counts
+    the tracks of the recording that are present at no instant and have no column.
     """
 
     times_s: Float[np.ndarray, " steps"]
@@ -72,7 +72,7 @@ class Slots:
 
 
 class _Piece(NamedTuple):
-    """One track sampled from instant `first` on, for as many instants as its fixes span."""
+    """One track at the instants that its fixes span, from instant `first` on."""
 
     first: int
     present: np.ndarray
@@ -82,10 +82,7 @@ class _Piece(NamedTuple):
 def window(recording: Recording, start_s: float | None = None, end_s: float | None = None) -> Recording:
     """Cut a recording to the fixes with start_s <= time <= end_s; None leaves that side open.
 
-    The result starts at its own first fix, which may be later than `start_s`.
-
-    Raises:
-        InputError: no fix is left; names the span of the recording.
+    The result starts at its own first fix, which may be later than `start_s`. Raises InputError where no fix is left.
     """
     lower = -np.inf if start_s is None else start_s
     upper = np.inf if end_s is None else end_s
@@ -105,27 +102,26 @@ def window(recording: Recording, start_s: float | None = None, end_s: float | No
 def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slots:
     """Sample a recording at the instants t_k = start + k tau, k = 0..K, t_K <= end, and pack its tracks into columns.
 
-    Between two fixes at most `max_gap_s` apart the position is interpolated linearly, the track present. It is absent
-    before its first fix, after its last, and between fixes further apart than that, where its position is that of the
-    nearest fix; but present where an instant coincides with a fix (to within 1e-6 tau). A track with one fix is
-    therefore present at one instant or, far more often, at none: nothing says for how long it was there.
+    Between two fixes at most `max_gap_s` apart the position is interpolated linearly, and the track is present. It is
+    absent before its first fix, after its last, and between fixes further apart than that, where its position is that
+    of the nearest fix; but present where an instant coincides with a fix (to within 1e-6 tau). A track with one fix is
+    therefore present at one instant or, far more often, at none: its duration is unknown.
 
-    Columns are as few as possible, by greedy colouring of the tracks' intervals. A column serves a later track only
-    after the earlier one has left for good, with at least one absent instant between, so that the later one is seen as
-    a new target. A track keeps its column over inner gaps.
+    Columns are as few as possible, by greedy colouring of the tracks' intervals. A column holds a later track only
+    after the earlier one has left for good, with at least one absent instant between, so that the later one counts as a
+    new target. A track keeps its column over inner gaps.
 
-    Raises:
-        InputError: tau or max_gap not positive and finite, a recording shorter than tau, or a result of more than
-            `MAX_CELLS` instants x columns.
+    Raises InputError where tau or max_gap is not positive and finite, for a recording shorter than tau, and for more
+    than `MAX_CELLS` instants x columns.
     """
     times, tracks, pieces = _sampled_tracks(recording, tau_s, max_gap_s)
-    lives = [piece.first + np.flatnonzero(piece.present)[[0, -1]] for piece in pieces]
-    column_of, columns = _colour([(int(first), int(last)) for first, last in lives])
+    lives = [(piece.first + np.flatnonzero(piece.present)[[0, -1]]).tolist() for piece in pieces]
+    column_of, columns = _colour(lives)
     _check_size(recording.name, len(times), columns)
     present = np.zeros((len(times), columns), dtype=bool)
     index = np.full((len(times), columns), -1)
     positions = np.zeros((len(times), columns, recording.dimension))
-    # In the order of their starts: each holds its last position to the end, until the next track of the column.
+    # In the order of their starts: each keeps its last position to the end, until the next track of the column.
     for i in sorted(range(len(pieces)), key=lambda i: lives[i][0]):
         piece, column, (first, last) = pieces[i], column_of[i], lives[i]
         life = slice(first - piece.first, last + 1 - piece.first)
@@ -148,7 +144,7 @@ def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slot
 def _sampled_tracks(
     recording: Recording, tau_s: float, max_gap_s: float
 ) -> tuple[np.ndarray, list[Track], list[_Piece]]:
-    """The instants, the tracks that are present at one of them, and these tracks sampled."""
+    """Return the instants, the tracks that are present at any of them, and these tracks sampled."""
     for name, value in (("tau_s", tau_s), ("max_gap_s", max_gap_s)):
         if not (isfinite(value) and value > 0):
             raise InputError(f"{name} is {value!r}; it must be a positive, finite number of seconds")
@@ -174,7 +170,7 @@ def _check_size(name: str, steps: int, columns: int) -> None:
 def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> _Piece:
     """Sample one track at the instants that its fixes span."""
     fixes, last = track.times_s, len(track.times_s) - 1
-    # What a clock of this magnitude can resolve: 3 * 0.1 is not 0.3, and Unix time is known to 0.2 us.
+    # The resolution of a clock of this magnitude: 3 * 0.1 is not 0.3, and Unix time is accurate to 0.2 us.
     tolerance = 1e-6 * tau_s + 4 * np.spacing(np.abs(times[[0, -1]]).max())
     first = int(np.searchsorted(times, fixes[0] - tolerance, "left"))
     stop = int(np.searchsorted(times, fixes[-1] + tolerance, "right"))
@@ -182,26 +178,22 @@ def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> 
     after = np.clip(np.searchsorted(fixes, instants, "right"), min(1, last), last)
     before = np.maximum(after - 1, 0)
     gap = fixes[after] - fixes[before]
-    # The fix before an instant is the one after it for a track of one fix: no gap to divide by.
+    # A track of one fix has no gap to divide by: the fixes before and after an instant are the same.
     fraction = (instants - fixes[before]) / np.where(gap > 0, gap, 1.0)
     bridged = gap <= max_gap_s + tolerance
     on_fix = np.minimum(instants - fixes[before], fixes[after] - instants) <= tolerance
     fraction = np.where(bridged, fraction, np.round(fraction))[:, None]
-    start, end = track.positions_m[before], track.positions_m[after]
-    return _Piece(first, bridged | on_fix, start + fraction * (end - start))
+    start = track.positions_m[before]
+    return _Piece(first, bridged | on_fix, start + fraction * (track.positions_m[after] - start))
 
 
-def _colour(lives: list[tuple[int, int]]) -> tuple[list[int], int]:
-    """Assign a column to each interval [first, last]; columns, and their number: the fewest, as starts are in order."""
+def _colour(lives: list[list[int]]) -> tuple[list[int], int]:
+    """Assign a column to each interval [first, last], the fewest as starts are in order; return also their number."""
     column_of = [0] * len(lives)
-    taken: list[tuple[int, int]] = []  # heap of (last instant, column)
-    columns = 0
+    columns: list[tuple[int, int]] = []  # heap of (last instant, column)
     for i in sorted(range(len(lives)), key=lambda i: lives[i][0]):
         first, last = lives[i]
-        if taken and taken[0][0] <= first - 2:
-            column = heapq.heappop(taken)[1]
-        else:
-            column, columns = columns, columns + 1
-        column_of[i] = column
-        heapq.heappush(taken, (last, column))
-    return column_of, columns
+        is_free = columns and columns[0][0] <= first - 2
+        column_of[i] = heapq.heappop(columns)[1] if is_free else len(columns)
+        heapq.heappush(columns, (last, column_of[i]))
+    return column_of, len(columns)

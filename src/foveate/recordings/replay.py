@@ -1,4 +1,4 @@
-"""Replay recordings: drive an agent through real targets that come and go, with real filter and real visibility."""
+"""Drive an agent through a recording: real targets that come and go, the real filter, and real visibility."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -10,16 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.errors import InputError
+from foveate.evaluation import metrics
 from foveate.evaluation.evaluate import decision_time
-from foveate.evaluation.metrics import (
-    chi_square_band,
-    effective_count,
-    error_measures,
-    longest_run,
-    mean_or_zero,
-    nees,
-    squared_position_error,
-)
+from foveate.evaluation.metrics import mean_or_zero
 from foveate.experiment.experiment import Experiment
 from foveate.io.provenance import provenance
 from foveate.io.toml import digest
@@ -33,23 +26,24 @@ from foveate.simulation.records import TRUE, Arrivals, Episode, Policy, Protocol
 from foveate.simulation.rollout import rollout
 
 MAX_ROUNDING = 0.05
-"""Positions must be resolved to this share of the sensor's standard deviation."""
+"""Float32 must resolve positions to this share of the sensor's standard deviation."""
 
 VERSION = 1
 """Version of the files of replays."""
+
+_run = eqx.filter_jit(rollout)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayRow:
     """Measures of one method on one recording from one start.
 
-    `targets` counts tracks present for a step at least; `log_det_mean` [nat], `rmse_m` and `nees` are over all targets
-    at all steps, and apart over those of tracks that were measured at least once and of those that never were, null
-    where there are none. `nees_band` holds at least 95 % of such means if the filter's covariance is right: the steps
-    of a track, which are correlated, count as one. `seen_fraction` is the share of tracks measured at least once,
-    `seen_time_fraction` of all target-steps with a measurement; `longest_unseen_s` the longest time that any track
-    went without one; `lost` counts tracks unseen at their end with an error above the depth of the view; `rejected`
-    counts measurements that the gate rejected.
+    `targets` counts tracks present for at least a step. `log_det_mean` [nat], `rmse_m` and `nees` are means over all
+    targets and steps; `*_seen` over tracks measured at least once, `*_unseen` over the others, null where there are
+    none. `nees_band` holds at least 95 % of such means if the filter's covariance is right: the steps of a track, which
+    are correlated, count as one. `seen_fraction` is the share of tracks measured at least once, `seen_time_fraction`
+    that of target-steps with a measurement, `longest_unseen_s` the longest time of any track without one. `lost` counts
+    tracks unseen at their end with an error above the depth of the view, `rejected` measurements outside the gate.
     """
 
     method: str
@@ -73,7 +67,7 @@ class ReplayRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Replay:
+class PreparedReplay:
     """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y)."""
 
     protocol: Protocol
@@ -93,49 +87,45 @@ def prepare_replay(
     max_gap_s: float = 2.0,
     seed: int = 0,
     gate: float | None = GATE,
-) -> Replay:
+) -> PreparedReplay:
     """Sample the recording at the scenario's control period and draw the noise of its measurements from `seed`.
 
-    The filter rejects measurements outside of the chi-square `gate`, of that probability (see `models.gate`).
-
-    Raises:
-        InputError: recording and scenario do not fit: dimensions, states without positions, a schedule, or positions
-            too far from the origin for float32.
+    The filter rejects measurements outside the chi-square `gate` of that probability (see `models.gate`). Raises
+    InputError where recording and scenario do not fit: dimensions, states without positions, a schedule, or positions
+    too far from the origin for float32.
     """
     problem = scenario.problem()
     _check(scenario, problem, recording)
     slots = resample(recording, float(scenario.tau_s), float(max_gap_s))
     truth = _states(problem, slots)
     steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
-    rng = np.random.default_rng([seed, 0x7265706C])  # apart from the streams that evaluations draw from a seed
+    rng = np.random.default_rng([seed, 0x7265706C])  # independent of the streams that evaluations draw from a seed
     error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((steps + 1, n, n_y)), float))
-    first_mean = jnp.asarray(truth, float) + error
-    noise = rng.standard_normal((steps, n, problem.sensor.H.shape[0]))
-    present = jnp.asarray(slots.present)
+    state, present = jnp.asarray(truth, float), jnp.asarray(slots.present)
+    noise = jnp.asarray(rng.standard_normal((steps, n, len(problem.sensor.H))), float)
+    first_mean = state + error
     episode = Episode(
         pose=problem.agent.space.from_numbers(agent_start),
         mean=first_mean[0],
         present=present[0],
         inputs=jnp.zeros((steps, n, problem.motion.input_size)),
         horizon=jnp.asarray(steps),
-        truth=Truth(state=jnp.asarray(truth, float), measurement_noise=jnp.asarray(noise, float)),
+        truth=Truth(state=state, measurement_noise=noise),
         arrivals=Arrivals(present=present, mean=first_mean),
     )
-    start = tuple(float(x) for x in agent_start)
-    return Replay(
+    return PreparedReplay(
         protocol=TRUE._replace(gate=gate_limit(gate, len(problem.sensor.H))),
         problem=problem,
         slots=slots,
         episode=episode,
         truth=truth,
         depth_m=float(scenario.view.depth_m),
-        agent_start=start,
+        agent_start=tuple(map(float, agent_start)),
         seed=seed,
     )
 
 
 def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
-    """Raise InputError where a recording cannot be replayed in a scenario."""
     if not problem.motion.begins_with_position:
         raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
     if problem.schedule is not None:
@@ -146,22 +136,23 @@ def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
             f"{scenario.dimension}"
         )
     # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
-    far = float(np.abs(np.stack(recording.extent)).max())
-    if np.spacing(np.float32(far)) > MAX_ROUNDING * scenario.sensor.std_m:
+    far_m = float(np.abs(np.stack(recording.extent)).max())
+    rounding_m = np.spacing(np.float32(far_m))
+    if rounding_m > MAX_ROUNDING * scenario.sensor.std_m:
         raise InputError(
-            f"{recording.name}: positions up to {far:g} m from the origin, where float32 resolves only "
-            f"{np.spacing(np.float32(far)):.2g} m: subtract a common origin from them"
+            f"{recording.name}: positions up to {far_m:g} m from the origin, where float32 resolves only "
+            f"{rounding_m:.2g} m: subtract a common origin from them"
         )
 
 
 def _states(problem: Problem, slots: Slots) -> np.ndarray:
-    """Make states of recorded positions: velocities (and their derivatives) by differences between instants."""
+    """Return states from recorded positions: velocities (and their derivatives) by differences between instants."""
     d, n_y = problem.agent.space.dimension, problem.motion.state_size
     blocks = [slots.positions_m]
     same = slots.track_index[1:] == slots.track_index[:-1]
     while len(blocks) * d < n_y:
         change = np.where(same[..., None], np.diff(blocks[-1], axis=0), 0.0) / float(problem.tau)
-        # The derivative over a step stands at its end; at a track's first instant the one that follows is taken.
+        # The derivative over a step belongs to its end; a track's first instant takes that of the next one.
         ahead = np.concatenate([change, change[-1:]])
         behind = np.concatenate([change[:1], change])
         begins = np.concatenate([np.ones_like(same[:1]), ~same])
@@ -169,26 +160,21 @@ def _states(problem: Problem, slots: Slots) -> np.ndarray:
     return np.concatenate(blocks, axis=-1)[..., :n_y]
 
 
-@eqx.filter_jit
-def _run(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key) -> Trace:
-    return rollout(problem, policy, episode, protocol, key)
-
-
-def replay(ready: Replay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
-    """Drive one method through the recording; its row, and the trace as numpy arrays."""
+def drive(ready: PreparedReplay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
+    """Drive one method through the recording; return its row, and the trace as numpy arrays."""
     trace = _run(ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed))
     trace = jax.tree.map(np.asarray, trace)
-    step_time = decision_time(ready.problem, policy, ready.episode)
-    return _row(ready, method, trace, step_time), trace
+    return _row(ready, method, trace, decision_time(ready.problem, policy, ready.episode)), trace
 
 
-def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRow:
+def _row(ready: PreparedReplay, method: str, trace: Trace, step_time_s: float) -> ReplayRow:
     index, tau = ready.slots.track_index, float(ready.problem.tau)
-    # A step counts for a track present before and after it: at its first instant there is no belief to update.
+    # A step counts for tracks present before and after it: at its first instant a track has no belief to update.
     counted = (index[1:] >= 0) & (index[1:] == index[:-1])
-    visible = np.asarray(trace.visible) & counted
+    visible = trace.visible & counted
     error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
-    square = squared_position_error(error, np.asarray(ready.problem.motion.Z, float))
+    square_m2 = metrics.squared_position_error(error, np.asarray(ready.problem.motion.Z, float))
+    nees = metrics.nees(error, np.asarray(trace.information, float)[1:])
     lost, longest, lengths, seen = 0, 0.0, [], []
     of_seen = np.zeros_like(counted)
     for track in np.unique(index[1:][counted]):
@@ -197,8 +183,8 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         lengths.append(len(steps))
         seen.append(looks.any())
         of_seen[steps, columns] = seen[-1]
-        longest = max(longest, float(longest_run(~looks[:, None], np.full(len(looks), tau))[0]))
-        lost += bool(not looks[-1] and np.sqrt(square[steps[-1], columns[-1]]) > ready.depth_m)
+        longest = max(longest, float(metrics.longest_run(~looks[:, None], np.full(len(looks), tau))[0]))
+        lost += bool(not looks[-1] and np.sqrt(square_m2[steps[-1], columns[-1]]) > ready.depth_m)
     return ReplayRow(
         method=method,
         seed=ready.seed,
@@ -209,39 +195,34 @@ def _row(ready: Replay, method: str, trace: Trace, step_time: float) -> ReplayRo
         seen_time_fraction=mean_or_zero(visible[counted]),
         longest_unseen_s=longest,
         # The steps of a track are correlated: tracks are the samples, weighted by their lengths.
-        nees_band=chi_square_band(ready.truth.shape[-1], effective_count(np.array(lengths))),
-        **error_measures(
-            square[counted], nees(error, np.asarray(trace.information, float)[1:])[counted], of_seen[counted]
-        ),
+        nees_band=metrics.chi_square_band(ready.truth.shape[-1], metrics.effective_count(np.array(lengths))),
+        **metrics.error_measures(square_m2[counted], nees[counted], of_seen[counted]),
         lost=lost,
         rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
-        step_time_s=step_time,
+        step_time_s=step_time_s,
     )
 
 
 def default_agent_start(recording: Recording, scenario: Scenario) -> list[float]:
     """Start in the middle of the recording's extent, heading along x."""
     lower, upper = recording.extent
-    space = scenario.agent.agent().space
-    middle = jnp.asarray((lower + upper) / 2, float)
-    return space.to_numbers(space.upright(middle, jnp.zeros(())))
+    return _upright(scenario, (lower + upper) / 2, 0.0)
 
 
 def random_agent_starts(recording: Recording, scenario: Scenario, count: int, seed: int) -> list[list[float]]:
     """Draw starts uniform in the recording's extent, with any heading."""
-    lower, upper = recording.extent
-    space, rng = scenario.agent.agent().space, np.random.default_rng([seed, count])
-    return [
-        space.to_numbers(
-            space.upright(jnp.asarray(rng.uniform(lower, upper), float), jnp.asarray(rng.uniform(-np.pi, np.pi)))
-        )
-        for _ in range(count)
-    ]
+    rng = np.random.default_rng([seed, count])
+    return [_upright(scenario, rng.uniform(*recording.extent), rng.uniform(-np.pi, np.pi)) for _ in range(count)]
+
+
+def _upright(scenario: Scenario, position_world: np.ndarray, yaw: float) -> list[float]:
+    space = scenario.agent.agent().space
+    return space.to_numbers(space.upright(jnp.asarray(position_world, float), jnp.asarray(yaw)))
 
 
 def result(
     rows: Sequence[ReplayRow], experiment: Experiment, recording: Recording, facts: dict[str, Any]
 ) -> dict[str, Any]:
-    """Content of a replay's JSON file: the rows, and what they were made with."""
-    made = {"experiment": digest(experiment), "recording_sha256": recording.sha256}
-    return {**provenance(), **made, **facts, "rows": [asdict(row) for row in rows]}
+    """Content of a replay's JSON file: the rows, and their provenance."""
+    inputs = {"experiment": digest(experiment), "recording_sha256": recording.sha256}
+    return {**provenance(), **inputs, **facts, "rows": [asdict(row) for row in rows]}

@@ -1,7 +1,4 @@
-"""Velocities of recorded targets, from pairs of real fixes.
-
-The true time difference of a pair is used, so an irregular clock does no harm.
-"""
+"""Velocities of recorded targets, from pairs of real fixes and their true time differences: any clock will do."""
 
 from dataclasses import dataclass
 
@@ -18,9 +15,9 @@ _MIN_STEP_M = 1e-3  # below what any tracker resolves: a target that stands stil
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Velocities:
-    """Mean velocities [m/s] over pairs of fixes and the spans [s] of these pairs, from all tracks.
+    """Mean velocities [m/s] over pairs of fixes of all tracks, and the spans [s] of these pairs.
 
-    `turns` holds, row by row, the indices of two pairs of which the second starts where the first ends.
+    Each row of `turns` holds the indices of two pairs of which the second starts where the first ends.
     """
 
     velocity: Float[np.ndarray, "pairs d"]
@@ -29,7 +26,7 @@ class Velocities:
 
 
 def without_spikes(track: Track) -> Track:
-    """Leave out fixes that are *out and back*: both steps far above the median around them, and above the detour."""
+    """Leave out fixes that are *out and back*: both steps far above the median around them, and the direct step."""
     steps = np.linalg.norm(np.diff(track.positions_m, axis=0), axis=1)
     if len(steps) < 2:
         return track
@@ -55,22 +52,21 @@ def velocities(tracks: list[Track], spacing_s: float, max_gap_s: float) -> Veloc
         dt.append(span)
         pair_from = np.full(len(track.times_s), -1)  # the pair that starts at a fix
         pair_from[start] = np.arange(len(start))
-        follower = pair_from[end]
-        chained = follower >= 0
-        turns.append(offset + np.stack([np.flatnonzero(chained), follower[chained]], axis=1))
+        next_pair = pair_from[end]
+        first = np.flatnonzero(next_pair >= 0)
+        turns.append(offset + np.stack([first, next_pair[first]], axis=1))
         offset += len(start)
     return Velocities(velocity=np.concatenate(velocity), dt=np.concatenate(dt), turns=np.concatenate(turns))
 
 
 def _pairs(times: np.ndarray, spacing_s: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Pair each fix with the one nearest to `spacing_s` later, 1/2 to 2 spacings away and no long gap between."""
-    last = len(times) - 1
-    start = np.arange(last)
+    last, start = len(times) - 1, np.arange(len(times) - 1)
     goal = times[:-1] + spacing_s
     after = np.clip(np.searchsorted(times, goal), start + 1, last)
     before = np.maximum(after - 1, start + 1)
     end = np.where(goal - times[before] <= times[after] - goal, before, after)
     dt = times[end] - times[start]
     long_gaps = np.concatenate([[0], np.cumsum(np.diff(times) > max_gap_s * (1 + 1e-6))])
-    good = (dt >= 0.5 * spacing_s) & (dt <= 2.0 * spacing_s) & (long_gaps[start] == long_gaps[end])
-    return start[good], end[good]
+    valid = (dt >= 0.5 * spacing_s) & (dt <= 2.0 * spacing_s) & (long_gaps[start] == long_gaps[end])
+    return start[valid], end[valid]

@@ -7,7 +7,7 @@
     manager = PolicySensorManager(platforms={platform}, policy=policy, predictor=KalmanPredictor(motion))
 
 Tracks, predictor and updater are Stone Soup's own. Stone Soup orders a state [x, vx, y, vy], foveate [x, y, vx, vy];
-the order follows from the sensor's `position_mapping`, or from what it measures where it has none.
+the order follows from the sensor's `position_mapping`, or else from its measurement model.
 """
 
 import datetime
@@ -27,6 +27,7 @@ from stonesoup.types.track import Track
 
 from foveate.errors import InputError
 from foveate.geometry import fov, fov_planar
+from foveate.io.validate import require
 from foveate.models.agent import Agent
 from foveate.models.problem import Problem
 from foveate.models.sensor import Sensor
@@ -36,9 +37,9 @@ from foveate.stonesoup.parts import BodyMovable, Property, TwistAction, pose_of
 
 
 def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, ...]:
-    """Indices in Stone Soup's state of foveate's: positions first, then velocities and so on.
+    """Indices in Stone Soup's state of foveate's: positions, then velocities and so on.
 
-    Stone Soup's is either interleaved, [x, vx, y, vy], or in blocks, [x, y, vx, vy]. Raises InputError for others.
+    Stone Soup's state is either interleaved, [x, vx, y, vy], or in blocks, [x, y, vx, vy]; else an InputError.
     """
     first = tuple(int(i) for i in position_mapping)
     parts, rest = divmod(ndim_state, len(first))
@@ -47,46 +48,37 @@ def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, 
         if not rest and sorted(order) == list(range(ndim_state)):
             return order
     raise InputError(
-        f"position_mapping = {first} of {ndim_state} numbers: expected positions with as many derivatives each, "
+        f"position_mapping = {first} of {ndim_state} numbers: expected positions with equally many derivatives each, "
         "as [x, vx, y, vy] or [x, y, vx, vy]"
     )
 
 
 def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance: Any) -> Problem:
-    """Problem of a Stone Soup simulation, to train for, plan in, or make a heuristic for.
+    """Problem of a Stone Soup simulation, for training, planning and heuristics.
+
+    Raises InputError for models that are not linear-Gaussian, and sensors not carried along a `BodyMovable`'s heading.
 
     Args:
-        sensor: Gives field of view and noise; the `BodyMovable` that carries it gives the body and its limits. A sensor
-            with a linear model, `max_range` and `fov_angle`, named as in Stone Soup's radars, sees a sector.
-        predictor: Gives A and W, and B where it has a control model.
-        tau_s: Control period [s].
-        prior_covariance: Of a first belief (n_y, n_y), in Stone Soup's order.
-
-    Raises:
-        InputError: A model is not linear-Gaussian, or the sensor is carried in a way that foveate does not have.
+        sensor: gives field of view and noise; its `BodyMovable` gives the body and its limits. A sensor with a linear
+            model, `max_range` and `fov_angle`, named as in Stone Soup's radars, sees a sector.
+        predictor: gives A and W, and B where it has a control model.
+        tau_s: control period [s].
+        prior_covariance: of a first belief (n_y, n_y), in Stone Soup's order.
     """
     agent = _body_of(sensor).agent
-    motion_model, measurement = _linear(sensor, predictor)
-    order = list(state_order(_mapping(sensor), measurement.ndim_state))
+    motion_model, measurement, order = _models(sensor, predictor)
     block, d, n_y = np.ix_(order, order), agent.space.dimension, len(order)
     interval = {"time_interval": datetime.timedelta(seconds=tau_s)}
-    # Stone Soup's own control model, where none is given, is zeros of another width.
+    # Without a control model Stone Soup's default is zeros of another width.
     control: Any = predictor.control_model
     control_matrix = np.asarray(control.matrix(**interval), float)
     B = control_matrix[order] if control_matrix.any() else np.zeros((n_y, d))
+    A, W = (np.asarray(matrix(**interval))[block] for matrix in (motion_model.matrix, motion_model.covar))
+    H, V = np.asarray(measurement.matrix())[:, order], measurement.covar()
     return Problem(
         agent=agent,
-        sensor=Sensor(
-            H=_array(np.asarray(measurement.matrix())[:, order]),
-            V=_array(measurement.covar()),
-            view=_view_of(sensor, agent),
-        ),
-        motion=LinearGaussian(
-            A=_array(np.asarray(motion_model.matrix(**interval))[block]),
-            B=_array(B),
-            W=_array(np.asarray(motion_model.covar(**interval))[block]),
-            Z=jnp.eye(d, n_y),
-        ),
+        sensor=Sensor(H=_array(H), V=_array(V), view=_view_of(sensor, agent)),
+        motion=LinearGaussian(A=_array(A), B=_array(B), W=_array(W), Z=jnp.eye(d, n_y)),
         tau=_array(tau_s),
         prior_information=_array(np.linalg.inv(np.asarray(prior_covariance, float)[block])),
     )
@@ -95,20 +87,20 @@ def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance
 class PolicySensorManager(SensorManager):
     """Steers the platform of one sensor by a foveate policy.
 
-    Each track is predicted to `timestamp` by Stone Soup's predictor, and the policy decides on the predictions, at the
-    pose of the sensor. Its command becomes an action of the platform, or of a sensor given alone, one with `steers`.
+    Stone Soup's predictor predicts each track to `timestamp`; the policy decides on the predictions, at the pose of the
+    sensor. Its command becomes an action of the platform, or of a sensor with `steers` that is given alone.
 
-    From `end_time`, the end of the run, follow the steps left; a run without an end has `steps_left` at every decision,
-    as many as in the middle of a training episode. `trained_for` is the problem that the policy was trained on: a
-    warning names once what differs here. No inputs of the targets are known. Raises InputError for a model that is not
-    linear-Gaussian, for tracks without a covariance, and unless there is exactly one sensor.
+    The number of steps left follows from `end_time`, the end of the run; a run without an end always has `steps_left`,
+    as in the middle of a training episode. `trained_for` is the problem that the policy was trained on: a warning names
+    once its differences from this one. Inputs of the targets are taken as unknown. Raises InputError for a model that
+    is not linear-Gaussian, for tracks without a covariance, and unless there is exactly one sensor.
     """
 
-    policy: Policy = Property(doc="Decides.")
-    predictor: Predictor = Property(doc="Predicts the tracks: a Kalman predictor.")
-    end_time: datetime.datetime = Property(default=None, doc="When the run ends.")
+    policy: Policy = Property(doc="Policy that decides.")
+    predictor: Predictor = Property(doc="Kalman predictor of the tracks.")
+    end_time: datetime.datetime = Property(default=None, doc="End of the run.")
     steps_left: int = Property(default=8, doc="Steps left at each decision of a run without an end.")
-    trained_for: Problem = Property(default=None, doc="The problem that the policy was trained on.")
+    trained_for: Problem = Property(default=None, doc="Problem that the policy was trained on.")
     pad_to: int = Property(default=8, doc="The policy is compiled for multiples of this number of tracks.")
     seed: int = Property(default=0, doc="Random seed of the policy.")
 
@@ -119,8 +111,7 @@ class PolicySensorManager(SensorManager):
             raise InputError(f"{len(sensors)} sensors: expected one, which the policy steers")
         (self._sensor,) = sensors
         self._agent = _body_of(self._sensor).agent
-        _, measurement = _linear(self._sensor, self.predictor)
-        self._order = list(state_order(_mapping(self._sensor), measurement.ndim_state))
+        *_, self._order = _models(self._sensor, self.predictor)
         if not self.platforms and not getattr(self._sensor, "steers", False):
             raise InputError("platforms is empty: expected the sensor's platform, or a ViewSensor with steers=True")
         self._memory, self._size, self._step = None, -1, 0
@@ -130,32 +121,30 @@ class PolicySensorManager(SensorManager):
     def choose_actions(  # pyright: ignore[reportIncompatibleMethodOverride]  # as all of Stone Soup's own
         self, tracks: Iterable[Track], timestamp: datetime.datetime, nchoose: int = 1, **kwargs: Any
     ) -> list[dict[Any, tuple[TwistAction, ...]]]:
-        """The policy's command until `timestamp`. Raises InputError for other `nchoose` than 1."""
-        if nchoose != 1:
-            raise InputError(f"nchoose = {nchoose}: expected 1, a policy has one answer")
-        seen = self._seen(tracks, timestamp)
-        if len(seen["present"]) != self._size:
-            self._size, self._memory = len(seen["present"]), _begin(self.policy, seen)
-        control, self._memory = _decide(self.policy, self._agent, seen, self._memory, self.seed)
+        """The policy's command until `timestamp`; `nchoose` must be 1."""
+        require(nchoose == 1, "nchoose", nchoose, "expected 1, a policy has one answer")
+        observation = self._observation(tracks, timestamp)
+        if len(observation["present"]) != self._size:
+            self._size, self._memory = len(observation["present"]), _begin(self.policy, observation)
+        control, self._memory = _decide(self.policy, self._agent, observation, self._memory, self.seed)
         self._step += 1
         actionable = next(iter(self.platforms), self._sensor)
         (generator,) = actionable.actions(timestamp)
         return [{actionable: (generator.action_from_value(np.asarray(control)),)}]
 
-    def _seen(self, tracks: Iterable[Track], timestamp: datetime.datetime) -> dict[str, np.ndarray]:
-        """Parts of the policy's observation: the predicted tracks in the order of their ids, padded."""
+    def _observation(self, tracks: Iterable[Track], timestamp: datetime.datetime) -> dict[str, np.ndarray]:
+        """Fields of the policy's observation: the predicted tracks in the order of their ids, padded."""
         ordered = sorted(tracks, key=lambda track: track.id)
-        for track in ordered:
-            if not hasattr(track.state, "covar"):
-                raise InputError(f"track {track.id}: {type(track.state).__name__}: expected a Gaussian state")
         n, n_y, d = len(ordered), len(self._order), self._agent.space.dimension
         size = self.pad_to * max(1, -(-n // self.pad_to))
         mean, covariance = np.zeros((size, n_y)), np.broadcast_to(np.eye(n_y), (size, n_y, n_y)).copy()
         for i, track in enumerate(ordered):
+            if not hasattr(track.state, "covar"):
+                raise InputError(f"track {track.id}: {type(track.state).__name__}: expected a Gaussian state")
             state = self.predictor.predict(track.state, timestamp=timestamp)
             mean[i] = np.asarray(state.mean, float)[self._order, 0]
             covariance[i] = np.asarray(state.covar, float)[np.ix_(self._order, self._order)]
-        known = d if self.trained_for is None else self.trained_for.motion.input_size
+        input_size = d if self.trained_for is None else self.trained_for.motion.input_size
         return {
             "step": np.array(self._step),
             "left": np.array(self._left(timestamp)),
@@ -163,44 +152,44 @@ class PolicySensorManager(SensorManager):
             "mean": mean,
             "information": np.linalg.inv(covariance),
             "present": np.arange(size) < n,
-            "known_input": np.zeros((size, known)),
+            "known_input": np.zeros((size, input_size)),
         }
 
     def _left(self, timestamp: datetime.datetime) -> int:
-        """Steps from now to the end, this one too, all as long as this one."""
+        """Steps left, including this one, all equally long."""
         if self.end_time is None:
             return self.steps_left
-        now = self._sensor.movement_controller.state.timestamp
-        return max(1, round((self.end_time - now) / (timestamp - now)))
+        start = self._sensor.movement_controller.state.timestamp
+        return max(1, round((self.end_time - start) / (timestamp - start)))
 
     def _warn(self, trained: Problem) -> None:
-        tau = float(trained.tau)
-        here = problem_of(self._sensor, self.predictor, tau, np.eye(len(self._order)))
-        compared = {
-            "body and its limits": (trained.agent, here.agent),
-            "field of view": (trained.sensor.view, here.sensor.view),
-            "noise of the sensor": (trained.sensor.V, here.sensor.V),
-            f"motion of the targets over {tau:g} s": tuple((m.A, m.W, m.Z) for m in (trained.motion, here.motion)),
+        tau_s = float(trained.tau)
+        own = problem_of(self._sensor, self.predictor, tau_s, np.eye(len(self._order)))
+        pairs = {
+            "body and its limits": (trained.agent, own.agent),
+            "field of view": (trained.sensor.view, own.sensor.view),
+            "noise of the sensor": (trained.sensor.V, own.sensor.V),
+            f"motion of the targets over {tau_s:g} s": tuple((m.A, m.W, m.Z) for m in (trained.motion, own.motion)),
         }
-        if other := [name for name, (theirs, ours) in compared.items() if not eqx.tree_equal(theirs, ours, rtol=1e-4)]:
+        if other := [name for name, pair in pairs.items() if not eqx.tree_equal(*pair, rtol=1e-4)]:
             warnings.warn(f"the policy was trained for another problem: {', '.join(other)}", stacklevel=3)
 
 
 @eqx.filter_jit
-def _begin(policy: Policy, seen: dict[str, Any]) -> Any:
-    return policy.start(Observation(**seen))
+def _begin(policy: Policy, observation: dict[str, Any]) -> Any:
+    return policy.start(Observation(**observation))
 
 
 @eqx.filter_jit
-def _decide(policy: Policy, agent: Agent, seen: dict[str, Any], memory: Any, seed: int) -> tuple[Any, Any]:
-    """The command [m/s, rad/s], and what the policy remembers."""
-    key = jax.random.fold_in(jax.random.key(seed), seen["step"])
-    action, memory = policy(Observation(**seen), memory, key)
+def _decide(policy: Policy, agent: Agent, observation: dict[str, Any], memory: Any, seed: int) -> tuple[Any, Any]:
+    """The command [m/s, rad/s], and the policy's memory."""
+    key = jax.random.fold_in(jax.random.key(seed), observation["step"])
+    action, memory = policy(Observation(**observation), memory, key)
     return agent.control(action), memory
 
 
 def _body_of(sensor: Any) -> BodyMovable:
-    """Body that carries a sensor. Raises InputError unless the sensor looks where the body heads."""
+    """Body that carries a sensor, without an offset."""
     body = sensor.movement_controller
     if not isinstance(body, BodyMovable):
         raise InputError(f"the sensor is carried by {type(body).__name__}: expected a BodyMovable, which has a heading")
@@ -209,8 +198,8 @@ def _body_of(sensor: Any) -> BodyMovable:
     return body
 
 
-def _linear(sensor: Any, predictor: Predictor) -> tuple[Any, Any]:
-    """Transition and measurement model. Raises InputError where one is not linear-Gaussian."""
+def _models(sensor: Any, predictor: Predictor) -> tuple[Any, Any, list[int]]:
+    """Linear-Gaussian transition and measurement model, and the `state_order`."""
     models = predictor.transition_model, sensor.measurement_model
     for owner, model in zip((predictor, sensor), models, strict=True):
         if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
@@ -218,12 +207,8 @@ def _linear(sensor: Any, predictor: Predictor) -> tuple[Any, Any]:
                 f"{type(owner).__name__} has a {type(model).__name__}: expected a linear-Gaussian model; "
                 "foveate's beliefs are those of a Kalman filter"
             )
-    return models
-
-
-def _mapping(sensor: Any) -> tuple[int, ...]:
-    """Indices of the position in a target's state: the sensor's `position_mapping`, or else what it measures."""
-    return tuple(getattr(sensor, "position_mapping", None) or sensor.measurement_model.mapping)
+    position = getattr(sensor, "position_mapping", None) or models[1].mapping
+    return *models, list(state_order(position, models[1].ndim_state))
 
 
 def _view_of(sensor: Any, agent: Agent) -> fov.FieldOfView:
@@ -231,9 +216,8 @@ def _view_of(sensor: Any, agent: Agent) -> fov.FieldOfView:
         return view
     radius, angle = getattr(sensor, "max_range", None), getattr(sensor, "fov_angle", None)
     if radius is None or angle is None or agent.space.dimension != 2:
-        raise InputError(
-            f"{type(sensor).__name__} has no field of view: expected `view`, or `max_range` and `fov_angle`"
-        )
+        right = "expected `view`, or `max_range` and `fov_angle`"
+        raise InputError(f"{type(sensor).__name__} has no field of view: {right}")
     return fov_planar.sector(float(radius), float(angle))
 
 

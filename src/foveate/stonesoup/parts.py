@@ -1,4 +1,4 @@
-"""Parts that Stone Soup lacks for a body that turns: a movable with a heading, its commands, a sensor with a view."""
+"""Components that Stone Soup lacks: a movable with a heading, its commands, a sensor with a field of view."""
 
 import datetime
 from collections.abc import Iterator, Sequence
@@ -23,14 +23,10 @@ from foveate.geometry.fov import FieldOfView
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
 
-Property: Any = base.Property
-"""Stone Soup's, which is declared as the type of what it holds."""
-
+Property: Any = base.Property  # for type checkers, as a property is declared with the type of its value
 
 # Compiled, as Stone Soup's managers move and sense a thousand times per decision.
 _moved = jax.jit(lambda agent, pose, control, seconds: agent.move(pose, agent.action(control), seconds))
-
-
 _contains = jax.jit(lambda view, space, pose, point_world: view.contains(space.to_body(pose, point_world)))
 
 
@@ -50,13 +46,13 @@ class TwistAction(Action):
     def act(
         self, current_time: datetime.datetime, timestamp: datetime.datetime, init_value: Any, **kwargs: Any
     ) -> Float[np.ndarray, "..."]:
-        """The pose to which the command leads from the pose `init_value`."""
+        """The pose after the command from the pose `init_value`."""
         seconds = (timestamp - current_time).total_seconds()
         return np.asarray(_moved(self.generator.owner.agent, init_value, self.target_value, seconds), float)
 
 
 class TwistActionGenerator(ActionGenerator):
-    """The commands of a body: all within its limits; iterated, a grid of `resolution` values on each axis."""
+    """All commands within the limits of a body; iterates over a grid of `resolution` values on each axis."""
 
     def __contains__(self, item: Any) -> bool:
         control = np.asarray(item.target_value if isinstance(item, Action) else item, float)
@@ -69,7 +65,7 @@ class TwistActionGenerator(ActionGenerator):
         return (self.action_from_value(np.array(control)) for control in product(*axes))
 
     def action_from_value(self, value: Float[np.ndarray, " m"]) -> TwistAction:
-        """The action of a command; one beyond the limits is carried out as the nearest within."""
+        """The action of a command; the body clips it to its limits."""
         return TwistAction(generator=self, end_time=self.end_time, target_value=np.asarray(value, float))
 
     @property
@@ -84,11 +80,11 @@ class TwistActionGenerator(ActionGenerator):
 
 
 class BodyMovable(FixedMovable):
-    """A movement controller that carries out commands of a foveate `Agent`: T' = T exp(tau hat(u)), heading included.
+    """Movement controller for commands of a foveate `Agent`: T' = T exp(tau hat(u)), heading included.
 
     `orientation` is Stone Soup's [roll, pitch, yaw], in rad. Without a command, and after its end, the body is as still
-    as its limits allow. The velocity that it reports is 0, as any FixedMovable's. Raises ValueError where
-    `position_mapping` has not as many entries as the agent's space dimensions, or `levels` not one number an axis.
+    as its limits allow. Its reported velocity is 0, as any FixedMovable's. `position_mapping` needs one entry for each
+    dimension of the agent's space.
     """
 
     agent: Agent = Property(doc="Actuated axes and their limits.")
@@ -115,33 +111,32 @@ class BodyMovable(FixedMovable):
         self, timestamp: datetime.datetime, start_timestamp: datetime.datetime | None = None
     ) -> set[ActionGenerator]:
         """The generator of all commands until `timestamp`."""
-        began = self.state.timestamp if start_timestamp is None else start_timestamp
-        times = {"start_time": began, "end_time": timestamp}
+        times = {"start_time": start_timestamp or self.state.timestamp, "end_time": timestamp}
         return {TwistActionGenerator(owner=self, attribute="pose", resolution=self.levels, **times)}
 
     def add_actions(self, actions: Sequence[Action]) -> bool:
-        """Take the first of the actions as the command."""
+        """Set the command: the first of the actions."""
         self._command = actions[0]
         return True
 
     def act(self, timestamp: datetime.datetime, **kwargs: Any) -> None:
-        """As `move`."""
+        """Same as `move`."""
         self.move(timestamp, **kwargs)
 
     def move(self, timestamp: datetime.datetime, **kwargs: Any) -> None:
-        """Carry out the command up to `timestamp`; at the time that the body has already, do nothing."""
-        now = self.state.timestamp
-        if now is None:
-            self.state.timestamp = timestamp
-        if now is None or timestamp <= now:
+        """Execute the command until `timestamp`, if that is later than the body's own time."""
+        time = self.state.timestamp
+        if time is None:
+            self.state.timestamp = time = timestamp
+        if timestamp <= time:
             return
         pose, command = self.pose, self._command
-        if command is not None and command.end_time > now:
+        if command is not None and command.end_time > time:
             until = min(command.end_time, timestamp)
-            pose, now = command.act(now, until, pose), until
-        if now < timestamp:
-            (generator,) = self.actions(timestamp, now)
-            pose, self._command = generator.default_action.act(now, timestamp, pose), None
+            pose, time = command.act(time, until, pose), until
+        if time < timestamp:
+            (generator,) = self.actions(timestamp, time)
+            pose, self._command = generator.default_action.act(time, timestamp, pose), None
         state = State.from_state(self.state, timestamp=timestamp)
         state.state_vector = state.state_vector.copy()
         self.states.append(state)
@@ -156,20 +151,20 @@ class ViewSensor(SimpleSensor):
     """Measures positions with Gaussian noise inside a field of view that its platform carries.
 
     `view` is a shape of `foveate.geometry`, in the sensor's frame: x ahead, y to the left, z up. With `steers` its
-    actions are those of the movable that carries it, for managers that judge each sensor alone, as Stone Soup's
-    greedy one; such a sensor is given to a manager without its platform, or every command is tried twice.
+    actions are those of the movable that carries it, for managers that evaluate each sensor alone, as Stone Soup's
+    greedy one; give such a sensor to a manager without its platform, or every command is tried twice.
     """
 
     ndim_state: int = Property(doc="Length of a target's state.")
-    position_mapping: Sequence[int] = Property(doc="Where the position stands in a target's state.")
+    position_mapping: Sequence[int] = Property(doc="Indices of the position in a target's state.")
     noise_covar: CovarianceMatrix = Property(doc="Covariance of a measured position, in the world frame [m^2].")
     view: FieldOfView = Property(doc="The field of view.")
     space: Space = Property(doc="The plane, or space.")
-    steers: bool = Property(default=False, doc="Whether it offers the commands of the movable that carries it.")
+    steers: bool = Property(default=False, doc="True if it offers the commands of the movable that carries it.")
 
     @property
     def measurement_model(self) -> LinearGaussian:
-        """The position, plus noise."""
+        """The position plus noise."""
         return LinearGaussian(ndim_state=self.ndim_state, mapping=self.position_mapping, noise_covar=self.noise_covar)
 
     def is_detectable(self, state: State, measurement_model: Any = None) -> bool:
@@ -187,15 +182,15 @@ class ViewSensor(SimpleSensor):
     def actions(
         self, timestamp: datetime.datetime, start_timestamp: datetime.datetime | None = None
     ) -> set[ActionGenerator]:
-        """Those of the movable that carries it, or none."""
+        """The actions of the movable that carries it if it `steers`, else none."""
         return self.movement_controller.actions(timestamp, start_timestamp) if self.steers else set()
 
     def add_actions(self, actions: Sequence[Action]) -> bool:
-        """Hand a command on to the movable, or take none."""
+        """Pass a command to the movable if it `steers`."""
         return self.movement_controller.add_actions(actions) if self.steers else super().add_actions(actions)
 
     def act(self, timestamp: datetime.datetime, **kwargs: Any) -> None:
-        """Move, if it steers."""
+        """Move if it `steers`."""
         if self.steers:
             self.movement_controller.act(timestamp, **kwargs)
         super().act(timestamp)

@@ -4,14 +4,14 @@ from foveate import api
 from foveate.cli.common import check_output, print_table
 from foveate.cli.replay import Replay
 from foveate.errors import InputError
-from foveate.plotting.replay import draw_comparison
+from foveate.plotting.replay import draw_replay
 
 
 def run(options: Replay) -> int:
     """Replay every method from every start, print means, write files."""
     check_output(options.out, folder=True)
     check_output(options.json, options.recording)
-    comparison = api.replay(
+    result = api.replay(
         options.run,
         options.recording,
         method=options.method,
@@ -23,13 +23,13 @@ def run(options: Replay) -> int:
         gate=options.gate,
         seed=options.seed,
     )
-    print_table(comparison.table.title, comparison.table.header, comparison.table.rows)
+    print_table(result.table.title, result.table.header, result.table.rows)
     if options.json is not None:
-        comparison.to_json(options.json)
+        result.to_json(options.json)
     if options.out is not None:
         options.out.mkdir(exist_ok=True)
-        comparison.to_json(options.out / "replay.json")
-        animated = draw_comparison(comparison, options.out)
+        result.to_json(options.out / "replay.json")
+        animated = draw_replay(result, options.out)
         print(f"{options.out}: replay.json, replay.png, replay.gif ({animated})")
     return 0
 

@@ -14,7 +14,7 @@ from foveate.study.methods import Method
 from foveate.study.publish import heading, publish
 from foveate.study.run import jobs, reproduce
 from foveate.study.study import Study, paper_study, true_view_study
-from foveate.study.tables import differences, honesty, scores
+from foveate.study.tables import differences, consistency, scores
 
 INTERVALS_WIDTH = 175
 """Terminal columns from which tables show intervals."""
@@ -71,7 +71,7 @@ def _methods_at(place: str) -> list[Method]:
 def _print(study: Study, comparisons: list[Comparison]) -> None:
     print(heading(study))
     is_wide = not sys.stdout.isatty() or shutil.get_terminal_size().columns >= INTERVALS_WIDTH
-    kinds = (scores, honesty) if study.suite == "true-view" else (scores, differences)
+    kinds = (scores, consistency) if study.suite == "true-view" else (scores, differences)
     for table in (kind(one, protocol) for one in comparisons for protocol in study.protocols for kind in kinds):
         rows = table.rows if is_wide else [[_mean_alone(cell) for cell in row] for row in table.rows]
         print_table(table.title, table.header, rows)

@@ -9,8 +9,7 @@ from foveate.experiment.resolve import subject_of
 from foveate.plotting.live.player import EpisodeSource
 from foveate.plotting.live.server import record, serve
 from foveate.plotting.live.sources import methods_from, recorded, simulated
-from foveate.recordings.formats import load_recording
-from foveate.recordings.recording import window
+from foveate.recordings.formats import load_window
 
 
 def run(options: View) -> int:
@@ -46,7 +45,7 @@ def _source(options: View) -> EpisodeSource:
     if options.recording is None:
         noise = (options.protocol, options.seed, options.scene_seed)
         return simulated(subject, options.scenes, options.scene, methods, *noise)
-    recording = window(load_recording(options.recording), options.start, options.end)
+    recording = load_window(options.recording, options.start, options.end)
     source, warnings = recorded(subject, recording, methods, options.max_gap, options.seed)
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr)

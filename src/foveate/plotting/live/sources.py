@@ -17,7 +17,7 @@ from foveate.plotting.replay import replay_data
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording
-from foveate.recordings.replay import default_agent_start, prepare_replay, replay
+from foveate.recordings.replay import default_agent_start, drive, prepare_replay
 from foveate.scenario.scenes import Scene
 
 
@@ -62,7 +62,7 @@ def recorded(
     ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario), gap_s, seed)
 
     def make(scene: str, method: str) -> EpisodeData:
-        _, trace = replay(ready, method, subject.policy(method, box_world))
+        _, trace = drive(ready, method, subject.policy(method, box_world))
         return replay_data(ready, trace, f"{method} on {scene}")
 
     source = EpisodeSource(scenes=(name,), methods=tuple(methods), episode=make)
