@@ -26,10 +26,9 @@ NO_SEGMENTS = np.zeros((1, 2, 3))
 Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
 
 
-def color(name: str) -> tuple[int, int, int]:
+def color(name: str) -> tuple[int, ...]:
     """RGB of a matplotlib colour, from 0 to 255."""
-    red, green, blue = (round(255 * part) for part in to_rgb(name))
-    return red, green, blue
+    return tuple(round(255 * part) for part in to_rgb(name))
 
 
 def lifted(points: Float[np.ndarray, "*m d"], height: float = 0.0) -> Float[np.ndarray, "*m 3"]:
