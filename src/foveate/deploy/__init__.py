@@ -1,1 +1,1 @@
-"""What a robot runs: belief, tracker, trained policy, ONNX."""
+"""Deployment on a robot: belief, tracker, trained policy, ONNX."""

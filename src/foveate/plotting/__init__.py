@@ -1,1 +1,1 @@
-"""Figures and moving pictures of episodes."""
+"""Figures and animations of episodes."""

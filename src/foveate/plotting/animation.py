@@ -1,4 +1,4 @@
-"""Animate an episode: the scene beside the information about each target, as both unfold."""
+"""Animation of an episode: the scene beside the information about each target."""
 
 import io
 import shutil
@@ -25,20 +25,16 @@ from foveate.plotting.scene_spatial import scene_class
 DPI = 100
 COLORS = 128
 HOLD_S = 1.5
-"""Time for which the last frame stands before the animation begins again."""
-
-Show = Callable[[int], None]
+"""Duration of the last frame, before the animation repeats."""
 
 
 def animate(data: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
-    """Write an episode as `.gif` (looping for ever), `.mp4` (through ffmpeg), or its last moment as `.png`.
+    """Write an episode as a `.gif` that loops, as `.mp4` (through ffmpeg), or its last moment as `.png`.
 
     Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses or ellipsoids; right, log det
     of each target's information after every step, a dot where it was measured, and the mean. Up to three frames a
-    step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers.
-
-    Raises:
-        InputError: another ending, a bad size or `fps`, and for `.mp4` where ffmpeg is missing or fails.
+    step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers. Raises
+    InputError for another ending, a bad size or `fps`, and for `.mp4` where ffmpeg is missing or fails.
     """
     kind = path.suffix.lower()
     if kind not in (".gif", ".mp4", ".png"):
@@ -55,29 +51,26 @@ def animate(data: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] 
         Image.fromarray(picture(data, moments[-1], size)).save(buffer, "PNG")
         write_atomic(path, buffer.getvalue())
     else:
-        encode = _gif if kind == ".gif" else _mp4
-        write_atomic(path, encode(list(_frames(data, moments, size)), fps))
+        frames = list(_frames(data, moments, size))
+        write_atomic(path, _gif(frames, fps) if kind == ".gif" else _mp4(frames, fps))
 
 
 def picture(data: EpisodeData, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
-    """Draw one frame of the animation, at a moment of the episode: uint8, (height, width, 3)."""
+    """Draw the frame of a moment of the episode: uint8, (height, width, 3)."""
     return next(_frames(data, [moment], size))
 
 
 def frame_moments(steps: int, most: int) -> list[int]:
-    """Moments of at most `most` frames: the first and the last instant always, evenly spaced between."""
-    # As many frames a step as fit, so that motion is smooth; where not even one fits, every `skip`-th instant.
-    per_step = max((count for count in (1, 2, 3) if steps * count < most), default=1)
-    skip = -(-steps // (most - 1)) if steps else 1
-    stride = SUBSTEPS * skip if skip > 1 else SUBSTEPS // per_step
-    end = SUBSTEPS * steps
-    return [*range(0, end, stride), end]
+    """Moments of at most `most` frames: evenly spaced, and always the first and the last instant."""
+    # Up to three frames a step for smooth motion; where not even one fits, every n-th instant.
+    per_step = next((count for count in (3, 2, 1) if steps * count < most), None)
+    stride = SUBSTEPS // per_step if per_step else SUBSTEPS * -(-steps // (most - 1))
+    return [*range(0, SUBSTEPS * steps, stride), SUBSTEPS * steps]
 
 
 def _frames(data: EpisodeData, moments: list[int], size: tuple[int, int]) -> Iterator[np.ndarray]:
-    """Yield RGB pictures: what stands still is drawn once, what moves is drawn on top of a copy of it."""
-    width, height = size
-    figure = new_figure(width / DPI, height / DPI, dpi=DPI, layout=None)
+    """Yield RGB pictures: the background is drawn once, and moving artists on top of a copy of it."""
+    figure = new_figure(size[0] / DPI, size[1] / DPI, dpi=DPI, layout=None)
     canvas = FigureCanvasAgg(figure)
     moving, show = _scene(figure, data, size)
     for artist in moving:
@@ -92,8 +85,8 @@ def _frames(data: EpisodeData, moments: list[int], size: tuple[int, int]) -> Ite
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[list[Artist], Show]:
-    """Draw everything on the figure; return the artists that move, and the function that moves them."""
+def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[list[Artist], Callable[[int], None]]:
+    """Draw everything on the figure; return the moving artists, and the function that moves them to a moment."""
     width, height = size
     kind, unit, bottom, top = scene_class(data), np.array([width, height, width, height]), 82.0, 60.0
     place = kind.place(width, height, bottom, top)
@@ -113,15 +106,15 @@ def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[li
         scene.show(moment)
         show_curves(moment)
         k = moment // SUBSTEPS
-        # Poses move between two looks; which targets are seen is known at a look, and stands until the next one.
+        # Poses move between two measurements; which targets are seen stands until the next one.
         last = f"last look at {data.times_s[k]:.1f} s: {data.seen_at(k).sum()} of {data.present[k].sum()} seen"
         clock.set_text(f"t = {data.time_at(moment):.1f} s   ({last})")
 
     return [*scene.artists, *lines, clock], show
 
 
-def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Show]:
-    """Draw log det of every target after every step, growing with time."""
+def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Callable[[int], None]]:
+    """Draw log det of every target after every step up to a moment; return as `_scene`."""
     times, mean, present = data.times_s[1:], data.mean_log_det, data.present[1:]
     points = np.stack(np.broadcast_arrays(times[:, None], data.log_det), axis=-1)
     axes.set_xlim(0, data.times_s[-1] or 1.0)
@@ -154,15 +147,15 @@ def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Show]:
 
 
 def _gif(frames: list[np.ndarray], fps: int) -> bytes:
-    """Encode frames as a GIF with one palette: the colours that fill most of a few frames.
+    """Encode frames as a GIF with one palette: the most frequent colours of a few frames.
 
-    Each colour that means something fills a patch of the legend, and so is among them; Pillow's own choice, an
-    average, may merge pale tints.
+    They include each colour with a meaning, as it fills a patch of the legend; Pillow's own choice, an average, may
+    merge pale tints.
     """
     sample = np.concatenate([frames[i] for i in np.linspace(0, len(frames) - 1, 5).astype(int)]).astype(np.uint32)
     colors, counts = np.unique(sample @ np.array([65536, 256, 1], np.uint32), return_counts=True)
     colors = colors[np.argsort(-counts, kind="stable")]
-    # One of each cube of 8 x 8 x 8: Pillow looks no closer, and white must not become what is nearly white.
+    # One of each cube of 8 x 8 x 8: Pillow distinguishes no more, and white must not become nearly white.
     _, first = np.unique(colors & 0xF8F8F8, return_index=True)
     most = colors[np.sort(first)[:COLORS]]
     palette = Image.new("P", (1, 1))
@@ -175,7 +168,7 @@ def _gif(frames: list[np.ndarray], fps: int) -> bytes:
 
 
 def _mp4(frames: list[np.ndarray], fps: int) -> bytes:
-    """Encode frames as H.264 that browsers play, the last one held; ffmpeg wants a file that it can seek in."""
+    """Encode frames as H.264 for browsers, the last one held; ffmpeg needs a file in which it can seek."""
     height, width = frames[0].shape[:2]
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps), "-i", "-"]
     target = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]

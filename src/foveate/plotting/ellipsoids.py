@@ -1,9 +1,10 @@
 """95 % ellipses and ellipsoids of Gaussian beliefs, and faces of fields of view, as lines and polygons [m].
 
-With the columns of L the semi-axes of a region, it is the image of the unit disc or ball, x = mean + L u, |u| <= 1.
+A region is the image of the unit disc or ball, x = mean + L u with |u| <= 1; the columns of L are its semi-axes.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -11,10 +12,10 @@ from jaxtyping import Float
 from foveate.models.gate import gate_limit
 
 CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 49)), np.sin(t)], axis=-1)
-"""The unit circle as a closed line of 48 parts."""
+"""Unit circle as a closed line of 48 segments."""
 
 MIN_VARIANCE_M2 = 1e-12
-"""Least variance drawn, a micrometre squared: rounding may leave one negative, and `contours` divides by its root."""
+"""Smallest variance drawn, (1 um)^2: rounding may make one negative, and `contours` divides by its root."""
 
 
 def chi_square_95(dimension: int) -> float:
@@ -27,40 +28,39 @@ def chi_square_95(dimension: int) -> float:
 def principal_axes(
     covariance: Float[np.ndarray, "*m d d"],
 ) -> tuple[Float[np.ndarray, "*m d d"], Float[np.ndarray, "*m d"]]:
-    """Directions, as columns, and lengths [m] of the semi-axes of the regions that hold 95 % of N(0, covariance)."""
+    """Directions (columns) and lengths [m] of the semi-axes of the 95 % regions of N(0, covariance)."""
     values, directions = np.linalg.eigh(covariance)
     return directions, np.sqrt(chi_square_95(values.shape[-1]) * np.maximum(values, MIN_VARIANCE_M2))
 
 
 def semi_axes(covariance: Float[np.ndarray, "*m d d"]) -> Float[np.ndarray, "*m d d"]:
-    """L: semi-axes [m], as columns, of the regions that hold 95 % of N(0, covariance)."""
+    """L: semi-axes [m] of the 95 % regions of N(0, covariance), as columns."""
     directions, lengths = principal_axes(covariance)
     return directions * lengths[..., None, :]
 
 
 def half_widths(covariance: Float[np.ndarray, "*m d d"]) -> Float[np.ndarray, "*m d"]:
-    """Half the sides [m] of axis-aligned boxes around the regions that hold 95 % of N(0, covariance)."""
+    """Half the side lengths [m] of the axis-aligned boxes around the 95 % regions of N(0, covariance)."""
     return np.sqrt(chi_square_95(covariance.shape[-1]) * np.diagonal(covariance, axis1=-2, axis2=-1))
 
 
 def ellipses(mean: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n v 2"]:
-    """Corners of the borders of the regions that hold 95 % of N(mean, covariance) [m]; the first is not repeated."""
+    """Polygons [m] around the 95 % regions of N(mean, covariance); the first corner is not repeated."""
     return mean[:, None, :] + CIRCLE[:-1] @ semi_axes(covariance).swapaxes(-1, -2)
 
 
 def contours(
     mean: Float[np.ndarray, "n 3"], covariance: Float[np.ndarray, "n 3 3"], eye: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "n v 3"]:
-    """Closed lines along which 95 % ellipsoids are seen edge-on from `eye`: their borders in a picture [m].
+    """Silhouettes of the 95 % ellipsoids seen from `eye`, as closed lines [m].
 
     With x = mean + L u, |u| = 1, the ray from c = L^-1 (eye - mean) touches the sphere where u . c = 1, a circle.
     """
     L = semi_axes(covariance)
     c = np.linalg.solve(L, (eye - mean)[..., None])[..., 0]
-    distance = np.maximum(np.linalg.norm(c, axis=-1, keepdims=True), 1.0)  # an eye inside sees no border: a point
+    distance = np.maximum(np.linalg.norm(c, axis=-1, keepdims=True), 1.0)  # seen from inside: a point
     normal, height = c / distance, 1 / distance
-    # Two unit vectors across the normal, from its singular value decomposition: a cross product with a fixed
-    # vector would vanish for normals along that.
+    # Two unit vectors normal to it, by singular value decomposition: a cross product with a fixed vector may vanish.
     across = np.linalg.svd(normal[:, None, :])[2][:, 1:]
     circle = height[..., None] * normal[:, None] + np.sqrt(1 - height[..., None] ** 2) * (CIRCLE @ across)
     return mean[:, None] + circle @ L.swapaxes(-1, -2)
@@ -69,13 +69,12 @@ def contours(
 def meridians(
     mean: Float[np.ndarray, "n 3"], covariance: Float[np.ndarray, "n 3 3"], eye: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "m v 3"]:
-    """Halves that face `eye` of the three principal sections of every ellipsoid [m], m = 3 n."""
+    """Front halves, seen from `eye`, of the three principal sections of each ellipsoid [m]; m = 3 n."""
     L = semi_axes(covariance)
     c = np.linalg.solve(L, (eye - mean)[..., None])[..., 0]
-    lines = []
-    half = np.linspace(-np.pi / 2, np.pi / 2, 17)
+    lines, half = [], np.linspace(-np.pi / 2, np.pi / 2, 17)
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        # The middle of the half is the point of the section that faces the eye most.
+        # The middle of each half is the point of the section closest to facing the eye.
         angle = np.arctan2(c[:, j], c[:, i])[:, None] + half
         u = np.zeros((len(mean), len(half), 3))
         u[..., i], u[..., j] = np.cos(angle), np.sin(angle)
@@ -84,23 +83,19 @@ def meridians(
 
 
 def faces(outline: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "_ 3"]]:
-    """Polygons that span an outline: its closed lines, and the quadrilaterals between two loops that edges join."""
+    """Faces of an outline: its closed lines, and the quadrilaterals between two loops that edges connect."""
     loops = [line[:-1] for line in outline if len(line) > 3 and is_closed(line)]
     edges = [line for line in outline if len(line) == 2]
     polygons = list(loops)
-    for i, loop in enumerate(loops):
-        for other in loops[i + 1 :]:
-            if len(loop) == len(other) and any(_joins(edge, loop, other) for edge in edges):
-                sides = np.stack([loop, np.roll(loop, -1, 0), np.roll(other, -1, 0), other], axis=1)
-                polygons += list(sides)
+    for loop, other in combinations(loops, 2):
+        if len(loop) == len(other):
+            # An edge connects the loops if it leads from a corner of one to the same corner of the other.
+            at_corners = [np.isclose(loop, a).all(axis=1) & np.isclose(other, b).all(axis=1) for a, b in edges]
+            if np.any(at_corners):
+                polygons += list(np.stack([loop, np.roll(loop, -1, 0), np.roll(other, -1, 0), other], axis=1))
     return polygons
 
 
 def is_closed(line: Float[np.ndarray, "n d"]) -> bool:
     """Test whether a line ends where it begins."""
     return bool(np.allclose(line[0], line[-1]))
-
-
-def _joins(edge: np.ndarray, loop: np.ndarray, other: np.ndarray) -> bool:
-    """Test whether an edge leads from a corner of one loop to the same corner of the other."""
-    return bool(np.any(np.isclose(loop, edge[0]).all(axis=1) & np.isclose(other, edge[1]).all(axis=1)))

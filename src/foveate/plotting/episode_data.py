@@ -1,4 +1,4 @@
-"""One episode as numpy arrays, ready to be drawn: no padding, positions only, nothing left to simulate."""
+"""Episode data: one episode as numpy arrays to draw, with positions only and without padding."""
 
 from dataclasses import dataclass
 
@@ -15,20 +15,19 @@ from foveate.models.problem import Problem
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
 
 SUBSTEPS = 6
-"""Poses that `EpisodeData.arc` gives for each step; divisible by 1, 2 and 3, the frames a step may have."""
+"""Moments per step; divisible by 1, 2 and 3, the frames a step may have."""
 
 TRAIL_STEPS = 40
-"""Length of trails and paths in animations, as recordings of thousands of steps would fill the picture."""
+"""Length of trails and path in animations: thousands of steps of a recording would fill the picture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EpisodeData:
-    """One episode, cut to its horizon K and its n real targets; all in the world frame, in metres and seconds.
+    """One episode, cut to its horizon K and its n real targets; in the world frame, in metres and seconds.
 
-    `pose` is in the representation of `space`. `truth` and `estimate` are positions, `covariance` that of the
-    estimated position, `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false a target is
-    absent, and its other entries mean nothing. `outline`: the view's border(s) in the body frame. A *moment* is a time
-    in SUBSTEPS of a step, counted from the start.
+    `pose` is as in `space`, `truth` and `estimate` are positions, `covariance` that of the estimated position;
+    `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false, the other entries of a target mean
+    nothing. `outline`: the view's border(s) in the body frame. A *moment* counts SUBSTEPS to a step from the start.
     """
 
     title: str
@@ -44,19 +43,17 @@ class EpisodeData:
     outline: tuple[Float[np.ndarray, "_ d"], ...]
 
     def __post_init__(self) -> None:
-        if len(self.times_s) != len(self.visible) + 1:
-            raise InputError(
-                f"times_s has {len(self.times_s)} instants: expected {len(self.visible) + 1}, one more than steps"
-            )
+        if len(self.times_s) != self.steps + 1:
+            raise InputError(f"times_s has {len(self.times_s)} instants: expected {self.steps + 1}, steps + 1")
 
     @property
     def steps(self) -> int:
-        """K."""
+        """Number of steps, K."""
         return len(self.visible)
 
     @property
     def targets(self) -> int:
-        """n: columns, each of which may serve several targets of a recording one after another."""
+        """Number of columns n; in a recording several targets may use a column, one after another."""
         return self.visible.shape[1]
 
     @property
@@ -101,13 +98,13 @@ class EpisodeData:
         # The tolerance keeps a time that rounding has put just before its moment.
         return int(SUBSTEPS * np.interp(time_s, self.times_s, np.arange(self.steps + 1)) + 1e-9)
 
-    def arc(self) -> Float[np.ndarray, "poses ..."]:
-        """Poses along the way, SUBSTEPS a step: the twist that leads from one pose to the next is constant."""
+    def arc(self) -> Float[np.ndarray, "moments ..."]:
+        """Pose at each moment: the twist from one pose to the next is constant."""
         return arc(self.pose, SUBSTEPS)
 
 
 def axis_range(values: Float[np.ndarray, "*m"]) -> tuple[float, float]:
-    """Lower and upper end of an axis that shows all finite values, with some room, also where all are equal."""
+    """Limits of an axis that shows all finite values with a margin, even if all are equal."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     pad = 0.06 * (high - low) + 0.1
@@ -122,7 +119,7 @@ class Snapshot:
     """
 
     pose: Float[np.ndarray, "..."]
-    path: Float[np.ndarray, "poses d"]
+    path: Float[np.ndarray, "moments d"]
     tracks: Float[np.ndarray, "instants n d"]
     tracked: Bool[np.ndarray, "instants n"]
     truth: Float[np.ndarray, "h d"]
@@ -131,21 +128,23 @@ class Snapshot:
     seen: Bool[np.ndarray, " h"]
 
 
-def snapshot(data: EpisodeData, arc: Float[np.ndarray, "poses ..."], moment: int, trail: int | None = None) -> Snapshot:
+def snapshot(
+    data: EpisodeData, arc: Float[np.ndarray, "moments ..."], moment: int, trail: int | None = None
+) -> Snapshot:
     """Snapshot of an episode at a moment. `arc` is `data.arc()`; tracks reach `trail` steps back, None for all.
 
-    Between two instants the agent is on its arc, positions are interpolated linearly, and a belief keeps its
-    covariance and colour until the next measurement can have come.
+    Between two instants the agent follows its arc, positions are interpolated linearly, and beliefs keep covariance and
+    colour until the next measurement.
     """
     k, part = divmod(moment, SUBSTEPS)
-    later, share = min(k + 1, data.steps), part / SUBSTEPS
-    # A target that leaves within the step stays where it was: its next position is another target's, or none.
+    later, first = min(k + 1, data.steps), 0 if trail is None else max(0, k - trail)
+    # A target that leaves within the step stays in place: the next position is that of another target, or of none.
     present, stays = data.present[k], data.present[k] & data.present[later]
 
     def between(values: np.ndarray) -> np.ndarray:
-        return values[k] + share * stays[:, None] * (values[later] - values[k])
+        return values[k] + part / SUBSTEPS * stays[:, None] * (values[later] - values[k])
 
-    truth, first = between(data.truth), 0 if trail is None else max(0, k - trail)
+    truth = between(data.truth)
     return Snapshot(
         pose=arc[moment],
         path=positions(arc[first * SUBSTEPS : moment + 1]),
@@ -172,7 +171,7 @@ def state_data(
 ) -> EpisodeData:
     """Episode data of poses, beliefs and true states without padding."""
     Z = np.asarray(problem.motion.Z, float)
-    # An absent target has an information matrix that means nothing, and may not be invertible.
+    # The information matrix of an absent target means nothing, and may be singular.
     information = np.where(present[..., None, None], information, np.eye(Z.shape[1]))
     outline = problem.sensor.view.outline()
     return EpisodeData(
@@ -198,35 +197,27 @@ def episode_data(
     targets: int,
     title: str = "",
 ) -> EpisodeData:
-    """Episode data of ONE trace: `trace` and `truth_state` as numpy arrays, padded in steps and targets or not.
-
-    The first `horizon` steps and the first `targets` columns count.
-    """
-    K, n = int(horizon), int(targets)
+    """Episode data of the first `horizon` steps and the first `targets` columns of ONE trace and its true states."""
+    steps, instants = (slice(horizon), slice(targets)), (slice(horizon + 1), slice(targets))
     return state_data(
         problem,
-        pose=np.asarray(trace.pose, float)[: K + 1],
-        mean=np.asarray(trace.mean, float)[: K + 1, :n],
-        information=np.asarray(trace.information, float)[: K + 1, :n],
-        log_det=np.asarray(trace.log_det, float)[:K, :n],
-        visible=np.asarray(trace.visible)[:K, :n],
-        present=np.asarray(trace.present)[: K + 1, :n],
-        truth=np.asarray(truth_state, float)[: K + 1, :n],
+        pose=np.asarray(trace.pose, float)[: horizon + 1],
+        mean=np.asarray(trace.mean, float)[instants],
+        information=np.asarray(trace.information, float)[instants],
+        log_det=np.asarray(trace.log_det, float)[steps],
+        visible=np.asarray(trace.visible)[steps],
+        present=np.asarray(trace.present)[instants],
+        truth=np.asarray(truth_state, float)[instants],
         title=title,
     )
 
 
 def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[EpisodeData]:
-    """Run a policy of that name through every scene of a suite: the episodes whose rows an evaluation gives."""
-    trace = evaluate_traces(suite, policy, PROTOCOLS[protocol])
-    return [
-        episode_data(
-            suite.problem,
-            jax.tree.map(lambda x, i=i: x[i], trace),
-            np.asarray(suite.truth.state[i]),
-            scene.horizon,
-            len(scene.targets),
-            f"{name}, {scene.id}, {protocol} protocol",
-        )
-        for i, scene in enumerate(suite.scenes)
-    ]
+    """Run a policy called `name` through every scene of a suite: the episodes that an evaluation measures."""
+    traces = evaluate_traces(suite, policy, PROTOCOLS[protocol])
+    data = []
+    for i, scene in enumerate(suite.scenes):
+        trace = jax.tree.map(lambda x, i=i: x[i], traces)
+        truth, title = np.asarray(suite.truth.state[i]), f"{name}, {scene.id}, {protocol} protocol"
+        data.append(episode_data(suite.problem, trace, truth, scene.horizon, len(scene.targets), title))
+    return data

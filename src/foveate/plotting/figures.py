@@ -16,22 +16,9 @@ from matplotlib.ticker import MaxNLocator
 from foveate.errors import InputError
 from foveate.experiment.run_folder import METRICS, Validation, read_validations
 from foveate.geometry.numpy_poses import positions, rotation
+from foveate.plotting import scene as drawing
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
-from foveate.plotting.scene import (
-    AGENT,
-    BLACK,
-    CYCLE,
-    GREY,
-    PALE,
-    SEEN,
-    VERMILLION,
-    broken,
-    clean,
-    describe,
-    legend_entries,
-    new_figure,
-    save,
-)
+from foveate.plotting.scene import AGENT, GREY, PALE, SEEN, VERMILLION, clean
 from foveate.plotting.scene_spatial import scene_class
 
 WIDTH = 9.0
@@ -39,62 +26,55 @@ WIDTH = 9.0
 
 COLUMNS = 4
 
+TITLE: dict[str, Any] = {"fontsize": 9, "fontweight": "bold"}
+LEGEND: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
+
 
 def trajectory_figure(episodes: Sequence[EpisodeData], path: Path) -> None:
     """Draw a row for each episode: its start, a third, two thirds and its end.
 
-    Each panel shows the agent and its path so far, its field of view there, the targets (squares) with their tracks so
-    far, and the beliefs: mean (cross) and 95 % ellipse or ellipsoid, solid if the target was measured at that instant,
-    dashed if not. Episodes that begin with the same targets share their limits.
-
-    Raises:
-        InputError: no episode.
+    Each panel shows the agent and its path so far, its field of view, the targets (squares) with their tracks so far,
+    and the beliefs: mean (cross) and 95 % ellipse or ellipsoid, solid if the target was measured at that instant,
+    dashed if not. Episodes that begin with the same targets share their limits. Raises InputError for no episode.
     """
     if not episodes:
         raise InputError("no episode to draw: expected at least one")
     heights = [WIDTH / COLUMNS * scene_class(data).panel_shape + 0.3 for data in episodes]
-    figure = new_figure(WIDTH, sum(heights) + 0.3)
+    figure = drawing.new_figure(WIDTH, sum(heights) + 0.3)
     rows = figure.subfigures(len(episodes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for row, data in zip(rows, episodes, strict=True):
-        row.suptitle(describe(data), x=0.01, ha="left", fontsize=9, fontweight="bold")
-        kind = scene_class(data)
-        box = kind.limits([other for other in episodes if _same_scene(data, other)])
-        instants = [round(data.steps * i / (COLUMNS - 1)) for i in range(COLUMNS)]
-        for column, instant in enumerate(instants):
+        row.suptitle(drawing.describe(data), x=0.01, ha="left", **TITLE)
+        kind, alike = scene_class(data), [other for other in episodes if other.truth.shape == data.truth.shape]
+        box = kind.limits([other for other in alike if np.allclose(data.truth[:1], other.truth[:1])])
+        for column in range(COLUMNS):
+            instant = round(data.steps * column / (COLUMNS - 1))
             axes: Any = row.add_subplot(1, COLUMNS, column + 1, axes_class=kind.axes_class)
             scene = kind(axes, data, box, scale=kind.panel_scale)
             scene.show(SUBSTEPS * instant)
             scene.label(kind.panel_text, x=row is rows[-1], y=column == 0)
             axes.set_title(f"t = {data.times_s[instant]:g} s", fontsize=8.5, pad=3)
-    figure.legend(handles=legend_entries(), loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
-    save(figure, path)
-
-
-def _same_scene(one: EpisodeData, other: EpisodeData) -> bool:
-    return one.truth.shape == other.truth.shape and np.allclose(one.truth[:1], other.truth[:1])
+    figure.legend(handles=drawing.legend_entries(), ncols=5, fontsize=8.5, **LEGEND)
+    drawing.save(figure, path)
 
 
 def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
     """Draw the objective of training batches (thin) and the held-out score (bold) against epochs, for one run or more.
 
-    `runs` are run folders or their `metrics.jsonl`. The best validation is a star, a collapse (or a value that was not
-    finite) a dotted vertical line; seconds stand along the top for one run, in the legend for several.
-
-    Raises:
-        InputError: no run, or a file without a validation.
+    `runs` are run folders or their `metrics.jsonl`. A star marks the best validation, a dotted vertical line a collapse
+    or a value that was not finite; seconds stand along the top for one run, in the legend for several. Raises
+    InputError for no run, and for a file without a validation.
     """
     files = [run / METRICS if run.is_dir() else run for run in ([runs] if isinstance(runs, Path) else runs)]
     if not files:
         raise InputError("no run to draw: expected at least one")
     histories = [read_validations(file) for file in files]
-    figure = new_figure(WIDTH, 4.0 + 0.07 * len(files))
-    axes = figure.subplots()
-    single = len(files) == 1
-    for file, validations, color in zip(files, histories, itertools.cycle(CYCLE), strict=False):
+    figure = drawing.new_figure(WIDTH, 4.0 + 0.07 * len(files))
+    axes, single = figure.subplots(), len(files) == 1
+    for file, validations, color in zip(files, histories, itertools.cycle(drawing.CYCLE), strict=False):
         epochs = [each.epoch for each in validations]
         axes.plot(epochs, [each.objective for each in validations], color=color, lw=0.9, alpha=0.6)
         label = "held-out score" if single else file.resolve().parent.name
-        # Each best so far is marked as such: the last of them is the best of all, whose policy training keeps.
+        # Each best so far is marked: the last of them is the best of all, whose policy training keeps.
         for best in [each for each in validations if each.best][-1:]:
             axes.plot(best.epoch, best.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
             label += f": best {best.held_out:.2f} at epoch {best.epoch}"
@@ -112,25 +92,20 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
         _seconds_on_top(axes, histories[0])
     collapsed = any(each.event for validations in histories for each in validations)
     handles = axes.get_legend_handles_labels()[0] + _curve_legend(single, collapsed)
-    figure.legend(handles=handles, loc="outside lower center", ncols=4 if single else 3, fontsize=9, frameon=False)
-    save(figure, path)
+    figure.legend(handles=handles, ncols=4 if single else 3, fontsize=9, **LEGEND)
+    drawing.save(figure, path)
 
 
 def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
-    color = CYCLE[0] if single else GREY
-    entries = [
-        Line2D([], [], color=color, lw=0.9, alpha=0.6, label="training objective"),
-        Line2D([], [], color=color, ls="none", marker="*", ms=11, label="best, kept"),
-    ]
-    if not single:
-        entries.insert(0, Line2D([], [], color=color, lw=2, label="held-out score"))
-    if collapsed:
-        entries.append(Line2D([], [], color=VERMILLION if single else GREY, ls=":", lw=1.2, label="collapse, return"))
-    return entries
+    color, event_color = (drawing.CYCLE[0], VERMILLION) if single else (GREY, GREY)
+    several = [] if single else [Line2D([], [], color=color, lw=2, label="held-out score")]
+    events = [Line2D([], [], color=event_color, ls=":", lw=1.2, label="collapse, rollback")] if collapsed else []
+    objective = Line2D([], [], color=color, lw=0.9, alpha=0.6, label="training objective")
+    return [*several, objective, Line2D([], [], color=color, ls="none", marker="*", ms=11, label="best, kept"), *events]
 
 
 def _seconds_on_top(axes: Axes, validations: Sequence[Validation]) -> None:
-    """Add a second x axis: the time at which the epochs of the first one were done."""
+    """Add a second x axis: the time [s] at which an epoch ended."""
     top = axes.twiny()
     top.set_xlim(axes.get_xlim())
     epochs = [0, *(each.epoch for each in validations)]
@@ -144,19 +119,17 @@ def _seconds_on_top(axes: Axes, validations: Sequence[Validation]) -> None:
 def replay_figure(episodes: Mapping[str, EpisodeData], path: Path) -> None:
     """Draw a recording as several methods saw it; map and timeline are those of the first.
 
-    Left, the map (of space: from above and from the side): every target's track in grey, in colour while it was seen,
+    Left, the map (in space: from above and from the side): every target's track in grey, in colour while it was seen,
     and the agent's path, which begins at the triangle. Right, the timeline: a row for each slot, which holds one target
     after another, light while one is present, dark while it is seen; below it each method's share of target time seen.
-
-    Raises:
-        InputError: no episode.
+    Raises InputError for no episode.
     """
     if not episodes:
         raise InputError("no episode to draw: expected at least one")
     name, data = next(iter(episodes.items()))
     bars = 0.26 * len(episodes) + 0.25
     height = max(3.4 + 1.0 * len(scene_class(data).planes), 2.9 + bars)
-    figure = new_figure(WIDTH, height)
+    figure = drawing.new_figure(WIDTH, height)
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
     _maps(left, data, name)
     timeline, shares = right.subplots(2, 1, height_ratios=(height - 0.9 - bars, bars))
@@ -169,54 +142,52 @@ def replay_figure(episodes: Mapping[str, EpisodeData], path: Path) -> None:
         Patch(facecolor=PALE, label="target present"),
         Patch(facecolor=SEEN, label="seen"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
-    save(figure, path)
+    figure.legend(handles=handles, ncols=5, fontsize=8.5, **LEGEND)
+    drawing.save(figure, path)
 
 
 def _maps(part: SubFigure, data: EpisodeData, name: str) -> None:
-    """Draw maps of what was seen, one for each pair of axes of the space, of one scale, one above the other."""
+    """Draw a map for each pair of axes of the space, one above the other, on one scale."""
     planes = scene_class(data).planes
     points = np.concatenate([data.truth[data.present], positions(data.pose)])
     low, high = points.min(axis=0), points.max(axis=0)
     pad = max(0.05 * (high - low).max(), 0.5)
-    sides = part.subplots(
-        len(planes), 1, sharex=True, squeeze=False, height_ratios=[(high - low + 2 * pad)[up] for _, up in planes]
-    )
-    for axes, plane in zip(sides[:, 0], planes, strict=True):
+    heights = [(high - low + 2 * pad)[up] for _, up in planes]
+    sides = part.subplots(len(planes), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for axes, plane in zip(sides, planes, strict=True):
         _map(axes, data, plane)
         if len(planes) > 1:
             axes.set_aspect("equal", adjustable="box")
             (left, bottom), (right, top) = (low - pad)[list(plane)], (high + pad)[list(plane)]
             axes.set(xlim=(left, right), ylim=(bottom, top))
         axes.label_outer()
-    sides[0, 0].set_title(f"what {name} saw where", fontsize=9, fontweight="bold", loc="left")
+    sides[0].set_title(f"what {name} saw where", loc="left", **TITLE)
 
 
 def _map(axes: Axes, data: EpisodeData, plane: tuple[int, int]) -> None:
-    """Draw tracks, the parts of them that were seen, and the agent's path, in the plane of two axes of the world."""
-    across, up = plane
+    """Draw tracks, their seen parts, and the agent's path, in the plane of two axes of the world."""
     truth, arc = data.truth[..., plane], data.arc()
-    axes.plot(*broken(truth, data.present).T, color=GREY, lw=0.6, alpha=0.8)
+    axes.plot(*drawing.broken(truth, data.present).T, color=GREY, lw=0.6, alpha=0.8)
     ends = np.stack([truth[:-1], truth[1:]], axis=2)
     axes.add_collection(LineCollection(list(ends[data.visible & data.counted]), colors=SEEN, lw=2.2, zorder=3))
-    way, nose = positions(arc)[:, plane], rotation(arc[0])[plane, 0]
-    axes.plot(*way.T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
+    path, nose = positions(arc)[:, plane], rotation(arc[0])[plane, 0]
+    axes.plot(*path.T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
     heading = (3, 0, np.degrees(np.arctan2(nose[1], nose[0])) - 90)
-    axes.plot(*way[0], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
+    axes.plot(*path[0], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
     axes.set_aspect("equal", adjustable="datalim")
     clean(axes)
-    axes.set_xlabel(f"{'xyz'[across]} [m]", fontsize=8.5, labelpad=3)
-    axes.set_ylabel(f"{'xyz'[up]} [m]", fontsize=8.5, labelpad=3)
+    for set_label, axis in zip((axes.set_xlabel, axes.set_ylabel), plane, strict=True):
+        set_label(f"{'xyz'[axis]} [m]", fontsize=8.5, labelpad=3)
 
 
 def _timeline(axes: Axes, data: EpisodeData, name: str) -> None:
-    """Draw rows of targets over time: present or not, seen or not."""
-    end, present, seen = data.times_s[-1], data.counted, data.visible & data.counted
+    """Draw a row for each target over time: present or not, seen or not."""
+    end, seen = data.times_s[-1], data.visible & data.counted
     for column in range(data.targets):
-        for which, color, edge in ((present, PALE, 0.0), (seen, SEEN, 0.5)):
-            # The edge keeps a glimpse of one step visible where a step is less than a pixel.
-            runs = [data.times_s[[first, first + length]] for first, length in _runs(which[:, column])]
-            spans = [(start, end - start) for start, end in runs]
+        # The edge keeps a glimpse of one step visible where a step is less than a pixel.
+        for flags, color, edge in ((data.counted, PALE, 0.0), (seen, SEEN, 0.5)):
+            changes = np.flatnonzero(np.diff(flags[:, column].astype(int), prepend=0, append=0))
+            spans = [(start, stop - start) for start, stop in data.times_s[changes].reshape(-1, 2)]
             axes.broken_barh(spans, (column + 0.6, 0.8), facecolor=color, edgecolor=color, lw=edge)
     axes.set_xlim(0, end)
     axes.set_ylim(max(data.targets, 1) + 0.5, 0.5)
@@ -224,26 +195,19 @@ def _timeline(axes: Axes, data: EpisodeData, name: str) -> None:
     clean(axes)
     axes.set_ylabel("target slot", fontsize=8.5, labelpad=4)
     axes.set_xlabel("time [s]", fontsize=8.5, labelpad=3)
-    axes.set_title(f"when {name} saw which", fontsize=9, fontweight="bold", loc="left")
-
-
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Find the first index and the length of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
-    return [(int(first), int(end - first)) for first, end in edges]
+    axes.set_title(f"when {name} saw which", loc="left", **TITLE)
 
 
 def _shares(axes: Axes, episodes: Mapping[str, EpisodeData]) -> None:
     """Draw each method's share of target time seen."""
     values = [100 * data.seen_share for data in episodes.values()]
-    colors = [SEEN, *[GREY] * (len(episodes) - 1)]
-    bars = axes.barh(list(episodes), values, color=colors, height=0.65)
+    bars = axes.barh(list(episodes), values, color=[SEEN, *[GREY] * (len(episodes) - 1)], height=0.65)
     axes.bar_label(bars, [f"{value:.1f} %" for value in values], fontsize=8.5, padding=3)
     axes.set_xlim(0, max(1.0, 1.18 * max(values)))
     axes.invert_yaxis()
     clean(axes, 8.5)
     axes.set_xticks([])
-    axes.tick_params(labelcolor=BLACK, length=0)
+    axes.tick_params(labelcolor=drawing.BLACK, length=0)
     for side in ("top", "right", "bottom"):
         axes.spines[side].set_visible(False)
-    axes.set_title("share of target time seen", fontsize=9, fontweight="bold", loc="left")
+    axes.set_title("share of target time seen", loc="left", **TITLE)

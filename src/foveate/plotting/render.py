@@ -1,4 +1,4 @@
-"""Draw episodes of an evaluation: a moving picture of one scene, or the course of several."""
+"""Draw episodes of an evaluation: an animation of one scene, or pictures of several."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
 
 MOVING, STILL = (".gif", ".mp4"), (".png", ".pdf", ".svg")
-"""Endings of files."""
+"""Endings of files of animations, and of figures."""
 
 
 def render(
@@ -32,19 +32,19 @@ def render(
     scene_seed: int = 2023,
     scenario: Scenario | None = None,
 ) -> list[str]:
-    """Draw a policy in the episodes that `foveate.evaluate` has with the same seed; returns the ids of their scenes.
+    """Draw a policy in the episodes of `foveate.evaluate` with the same seed; return the ids of their scenes.
 
     Args:
         policy: as for `foveate.evaluate`.
-        out: file to write: .gif or .mp4, the episode as it unfolds; .png, .pdf or .svg, its course in four pictures.
+        out: file to write: .gif or .mp4, an animation; .png, .pdf or .svg, four pictures of each episode.
         scenes: as for `foveate.evaluate`.
-        scene: ids of the scenes to draw, one for a moving picture; by default the last of each number of targets, and
-            for a moving picture the last of all.
-        method: of the policy, or a heuristic in its place.
-        protocol: how information is counted.
+        scene: ids of the scenes to draw, one for an animation; by default the last of each number of targets, and for
+            an animation the last of all.
+        method: `policy`, or a heuristic in its place.
+        protocol: surrogate or true information.
         seed: of the noise.
         scene_seed: of the scenes of table1 or own.
-        scenario: another one than the policy was trained for.
+        scenario: scenario to act in, by default the one of the training.
     """
     path = Path(out)
     if path.suffix.lower() not in MOVING + STILL:
@@ -55,27 +55,26 @@ def render(
         raise InputError("method all: expected one method to draw")
     methods_of(method)
     subject, moving = subject_of(policy, scenario), path.suffix.lower() in MOVING
-    name, known = scenes_of(scenes, scene_seed, subject.experiment)
-    chosen = _chosen(known, name, scene, moving)
-    world = subject.experiment.scenario
-    suite = prepare(world.problem(), world.scenes, chosen, seed)
-    shown = suite_data(suite, subject.policy(method), protocol, method)
+    selected = _selected(*scenes_of(scenes, scene_seed, subject.experiment), scene, moving)
+    scenario = subject.experiment.scenario
+    suite = prepare(scenario.problem(), scenario.scenes, selected, seed)
+    episodes = suite_data(suite, subject.policy(method), protocol, method)
     if moving:
-        animate(shown[0], path)
+        animate(episodes[0], path)
     else:
-        trajectory_figure(shown, path)
-    return [each.id for each in chosen]
+        trajectory_figure(episodes, path)
+    return [each.id for each in selected]
 
 
-def _chosen(known: Sequence[Scene], name: str, ids: Sequence[str], moving: bool) -> list[Scene]:
-    """The scenes to draw. Raises InputError for an unknown id, and for several in one moving picture."""
-    by_id = {scene.id: scene for scene in known}
+def _selected(name: str, suite: Sequence[Scene], ids: Sequence[str], moving: bool) -> list[Scene]:
+    """Scenes to draw. Raises InputError for an unknown id, and for several in one animation."""
+    by_id = {scene.id: scene for scene in suite}
     for each in ids:
         if each not in by_id:
             raise InputError(f"scene {each}: no such scene in {name}: {suggestion(each, by_id)}")
     if moving and len(ids) > 1:
-        raise InputError("scene: a moving picture shows one scene; name one, or choose .png")
+        raise InputError("scene: an animation shows one scene; name one, or choose .png")
     if ids:
         return [by_id[each] for each in ids]
-    last = {len(scene.targets): scene for scene in known}
-    return [known[-1]] if moving else [last[count] for count in sorted(last)]
+    last = {len(scene.targets): scene for scene in suite}
+    return [suite[-1]] if moving else [last[count] for count in sorted(last)]

@@ -1,4 +1,4 @@
-"""Pictures of methods on a recording."""
+"""Figure and animation of methods on a recording."""
 
 from pathlib import Path
 
@@ -11,13 +11,13 @@ from foveate.simulation.records import Trace
 
 
 def replay_data(ready: PreparedReplay, trace: Trace, title: str) -> EpisodeData:
-    """One method on a recording, to be drawn."""
+    """Episode data of one method on a recording."""
     steps, columns = trace.visible.shape
     return episode_data(ready.problem, trace, ready.truth, steps, columns, title)
 
 
 def draw_replay(result: ReplayResult, folder: Path) -> str:
-    """Write replay.png, of every method, and replay.gif, of the first: returns its name."""
+    """Write replay.png, of every method, and replay.gif, of the first: return the name of the first."""
     name_of = result.settings.recording
     data = {name: replay_data(*run, f"{name} on {name_of}") for name, run in result.traces.items()}
     replay_figure(data, folder / "replay.png")

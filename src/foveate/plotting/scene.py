@@ -1,7 +1,6 @@
-"""Planar scene of an episode in its axes, and what all pictures share: colours, legend, quiet axes, files.
+"""Planar scene of an episode in its axes, and the colours, legend, axes and files of all pictures.
 
-Seen and not seen differ in line style as well as in colour, and the colours are Okabe and Ito's, which colour-blind
-readers tell apart.
+Seen and unseen differ in line style too, and the colours are Okabe and Ito's, which colour-blind readers tell apart.
 """
 
 import io
@@ -27,21 +26,19 @@ from foveate.plotting.episode_data import EpisodeData, snapshot
 
 BLUE, SKY, GREEN, VERMILLION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
 PURPLE, BLACK, GREY, PALE = "#CC79A7", "#000000", "#8C8C8C", "#E6E6E6"
-
-
 CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 """Colours of runs and methods, in this order."""
 SEEN, UNSEEN, AGENT = GREEN, VERMILLION, BLUE
 DASHED = (0, (3, 2))
-"""Lines of what is not seen."""
+"""Style of lines around unseen targets."""
 KITE = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.4, 0.0], [-0.8, -0.65]])
-"""The agent, its nose along +x."""
+"""Agent, its nose along +x."""
 
 
 def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 2"]:
     """Lower and upper corner [m] of the square that shows targets, agent and view of these episodes at every instant.
 
-    Beliefs add 15 % at most to that: one that is never corrected grows without bound, and would shrink all else.
+    Beliefs add at most 15 %: one that is never corrected grows without bound.
     """
     core, beliefs = [], []
     for data in episodes:
@@ -59,16 +56,15 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
 
 
 def broken(tracks: Float[np.ndarray, "instants n d"], shown: Bool[np.ndarray, "instants n"]) -> np.ndarray:
-    """Join many tracks to one line, with NaN between them and where they are not shown."""
-    line = np.where(shown[..., None], tracks, np.nan)
-    gap = np.full((1, *line.shape[1:]), np.nan)
-    return np.concatenate([line, gap]).swapaxes(0, 1).reshape(-1, tracks.shape[-1])
+    """Join tracks to one line, with NaN between them and where they are not shown."""
+    line = np.pad(np.where(shown[..., None], tracks, np.nan), ((0, 1), (0, 0), (0, 0)), constant_values=np.nan)
+    return line.swapaxes(0, 1).reshape(-1, tracks.shape[-1])
 
 
 class PlanarScene:
     """A planar scene in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
 
-    `trail` is how many steps back trails and path reach, None for all. `scale` grows the symbols. A `tint` is the one
+    Trails and path reach `trail` steps back, None for all. `scale` multiplies symbol sizes. A `tint` is the single
     colour of agent and beliefs, for several agents in the same axes.
     """
 
@@ -77,13 +73,13 @@ class PlanarScene:
     max_frames = 150
     """Most frames of one animation."""
     planes: ClassVar[tuple[tuple[int, int], ...]] = ((0, 1),)
-    """Pairs of the world's axes that maps show: from above only."""
+    """Pairs of world axes that maps show."""
     panel_shape, panel_scale, panel_text = 1.0, 1.0, 8.0
-    """In a small panel: its height over its width, the scale of symbols, the size of numbers [pt]."""
+    """Height over width of a small panel, its symbol scale, and its text size [pt]."""
 
     @staticmethod
     def place(width: int, height: int, bottom: float, top: float) -> tuple[float, float, float, float]:
-        """Place of the axes in a picture [pixels]: left, bottom, width, height. A square, as high as it may be."""
+        """Left, bottom, width and height of the axes in a picture [pixels]: the largest square."""
         side = min(height - bottom - top, 0.54 * width)
         return 56.0, bottom, side, side
 
@@ -99,9 +95,7 @@ class PlanarScene:
         own, seen, unseen, view = (tint,) * 4 if tint else (AGENT, SEEN, UNSEEN, SKY)
         self.axes, self.data, self.arc, self.trail = axes, data, data.arc(), trail
         self.size = 0.035 * scale * float(box[1, 0] - box[0, 0])
-        axes.set_aspect("equal")
-        axes.set_xlim(*box[:, 0])
-        axes.set_ylim(*box[:, 1])
+        axes.set(aspect="equal", xlim=box[:, 0], ylim=box[:, 1])
 
         def line(color: str, **style: Any) -> Line2D:
             return axes.add_line(Line2D([], [], color=color, **style))
@@ -111,8 +105,8 @@ class PlanarScene:
         self.views = [Polygon(blank, zorder=1, **border) for _ in data.outline]
         self.path = line(own, lw=1.4 * scale, zorder=2)
         self.trails = line(GREY, lw=0.9 * scale, zorder=2)
-        self.unseen = PolyCollection([], facecolors=unseen + "22", edgecolors=unseen, zorder=3)
-        self.unseen.set(linewidth=1.0 * scale, linestyle=DASHED)
+        dashed: dict[str, Any] = {"linewidth": 1.0 * scale, "linestyle": DASHED}
+        self.unseen = PolyCollection([], facecolors=unseen + "22", edgecolors=unseen, zorder=3, **dashed)
         self.seen = PolyCollection([], facecolors=seen + "40", edgecolors=seen, linewidth=1.3 * scale, zorder=5)
         axes.add_collection(self.unseen, autolim=False)
         axes.add_collection(self.seen, autolim=False)
@@ -126,7 +120,7 @@ class PlanarScene:
 
     @property
     def artists(self) -> list[Artist]:
-        """Artists that move, in the order in which they are drawn."""
+        """Moving artists, in drawing order."""
         beliefs = (self.unseen, self.unseen_means, self.seen, self.seen_means)
         return [*self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
 
@@ -139,21 +133,19 @@ class PlanarScene:
             view.set_xy(placed(state.pose, border))
         self.agent.set_xy(placed(state.pose, self.size * KITE))
         self.targets.set_data(*state.truth.T)
-        for areas, means, which in (
-            (self.seen, self.seen_means, state.seen),
-            (self.unseen, self.unseen_means, ~state.seen),
-        ):
+        beliefs = (self.seen, self.seen_means, state.seen), (self.unseen, self.unseen_means, ~state.seen)
+        for areas, means, which in beliefs:
             areas.set_verts(list(ellipses(state.estimate[which], state.covariance[which])))
             means.set_data(*state.estimate[which].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:
-        """Set small numbers and the names of the axes asked for; y without a name has no numbers."""
+        """Set tick labels and the names of the axes where `x` and `y`; without `y`, no tick labels on that axis."""
         clean(self.axes, size)
         self.axes.tick_params(labelleft=y)
-        for named, name, axis in ((x, "x [m]", self.axes.xaxis), (y, "y [m]", self.axes.yaxis)):
-            if named:
-                axis.set_label_text(name, fontsize=size)
-                axis.labelpad = 2.5
+        if x:
+            self.axes.set_xlabel("x [m]", fontsize=size, labelpad=2.5)
+        if y:
+            self.axes.set_ylabel("y [m]", fontsize=size, labelpad=2.5)
 
 
 def legend_entries() -> list[Artist]:
@@ -168,7 +160,7 @@ def legend_entries() -> list[Artist]:
 
 
 def describe(data: EpisodeData) -> str:
-    """Title, number of targets, and score, or the share of time seen where targets come and go."""
+    """Title, number of targets, and score; where targets come and go, the share of time seen instead."""
     most = int(data.present.sum(axis=1).max())
     count = f"{most or 'no'} target{'s' * (most != 1)}"
     if not data.present.all():
@@ -179,14 +171,14 @@ def describe(data: EpisodeData) -> str:
 
 
 def clean(axes: Axes, size: float = 8.0) -> None:
-    """Give axes a thin grey frame and small numbers."""
+    """Give axes a thin grey frame and small tick labels."""
     axes.tick_params(labelsize=size, length=2.5, width=0.6, color=GREY, pad=2)
     for spine in axes.spines.values():
         spine.set(linewidth=0.6, color=GREY)
 
 
 def new_figure(width: float, height: float, dpi: int = 150, layout: Any = "constrained") -> Figure:
-    """Make a white figure [inches] on its own canvas: nothing of pyplot, no global state."""
+    """Make a white figure [inches] on a canvas of its own, without pyplot's global state."""
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure

@@ -1,7 +1,7 @@
-"""Spatial scene of an episode in its axes: seen by a camera, over a floor that shows depth."""
+"""Spatial scene of an episode in its axes, over a floor whose shadows show depth."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,25 +16,23 @@ from foveate.plotting.ellipsoids import contours, faces, half_widths, meridians
 from foveate.plotting.episode_data import EpisodeData, snapshot
 from foveate.plotting.scene import AGENT, BLACK, DASHED, GREY, SEEN, SKY, UNSEEN, PlanarScene, broken
 
-Drawn = TypeVar("Drawn", Poly3DCollection, Line3DCollection)
-
 DART = np.array([[1.1, 0, 0], [-0.8, 0.65, 0], [-0.8, -0.65, 0], [-0.8, 0, 0.5]])
 DART_FACES, DART_COLORS = ((0, 1, 3), (0, 2, 3), (0, 1, 2), (1, 2, 3)), (AGENT, "#00568A", "#003A5E", "#003A5E")
-"""The agent: its nose along +x, its fin up, as if lit from its left."""
+"""Agent, its nose along +x and its fin up, lit from its left."""
 
 ELEVATION, AZIMUTH, SWING = 27.0, -62.0, 36.0
-"""The camera, and the angle it moves around the scene in an animation [degrees]."""
+"""Direction of the camera, and its turn about the scene during an animation [degrees]."""
 
 FLOOR, GRID, SHADE = "#F7F7F7", "#D8D8D8", "#9A9A9A"
 VIEW_SHADE, PATH_SHADE = "#E4EEF5", "#B8C4CE"
-"""The floor, its lines, and the shadows on it."""
+"""Colours of the floor, its lines, and the shadows on it."""
 
 
 def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 3"]:
     """Lower and upper corner [m] of the box that shows targets and agent of these episodes at every instant.
 
-    View and beliefs add 15 % at most to that: the view turns about, and beliefs may grow without bound. More is shown
-    around a box that is small beside the view. No belief lowers the floor, or its shadows would lie far below.
+    View and beliefs add at most 15 %, as beliefs may grow without bound, or more where the box is small beside the
+    view. No belief lowers the floor, or shadows would lie far below.
     """
     core, soft = [], []
     for data in episodes:
@@ -55,31 +53,31 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
 
 
 class SpaceAxes(Axes3D):
-    """3-D axes that fill a place of any shape, where matplotlib's own fill a square in it."""
+    """3-D axes that fill a rectangle; matplotlib's own fill a square in it."""
 
     shown: np.ndarray = np.array([[-0.1, -0.1], [0.1, 0.1]])
-    """Corners of the part of the camera's plane that has to be shown."""
+    """Corners of the part of the camera's plane to show."""
     margin_pt: float = 22.0
-    """Room for the numbers around it."""
+    """Margin for tick labels around it."""
 
     @property
     def eye(self) -> Float[np.ndarray, "3"]:
         """Position of the camera [m]."""
-        # The one point that projects nowhere: the null vector of the projection's rows of x, y and depth.
+        # The point without a projection: the null vector of the projection's rows of x, y and depth.
         point = np.linalg.svd(self.get_proj()[[0, 1, 3]])[2][-1]
         return point[:3] / point[3]
 
     def apply_aspect(self, position: Bbox | None = None) -> None:
-        """Fill the place given, and show as much of the camera's plane in it as fits at equal scales."""
-        del position  # that of a locator, which these axes never have
+        """Fill the rectangle, and show as much of the camera's plane in it as fits at equal scales."""
+        del position  # of a locator, which these axes never have
         self.reset_position()
-        self.set_in_layout(True)  # a position that is set takes axes out of the layout
+        self.set_in_layout(True)  # setting a position has taken the axes out of the layout
         figure = self.get_figure(root=True)
         assert figure is not None, "drawn in a figure only"
         pixels, room = self.bbox.size, figure.dpi / 72 * self.margin_pt * np.array([2.0, 1.1])
         middle, extent = self.shown.mean(axis=0), np.ptp(self.shown, axis=0)
         scale = np.max(extent / np.maximum(pixels - room, 1.0))
-        # Most of it is needed below and on the right, where the numbers of z are; none above.
+        # Most of the margin is needed below and on the right, for the tick labels of z; none above.
         middle = middle + scale * room * [0.3, -0.45]
         low, high = middle - scale * pixels / 2, middle + scale * pixels / 2
         self.viewLim.intervalx, self.viewLim.intervaly = np.stack([low, high], axis=1)
@@ -88,20 +86,20 @@ class SpaceAxes(Axes3D):
 class SpatialScene:
     """A spatial scene in its axes, drawn once and moved: agent, path, view, targets with trails, beliefs.
 
-    Everything has a shadow or a drop line on the floor. `trail` is how many steps back trails and path reach, None for
-    all; where they have a limit, the scene is an animation, and the camera moves. `scale` grows the symbols.
+    Everything has a shadow or a drop line on the floor. Trails and path reach `trail` steps back, None for all; with a
+    number, the scene is an animation, and the camera moves. `scale` multiplies symbol sizes.
     """
 
     axes_class: ClassVar[Any] = SpaceAxes
     limits = staticmethod(limits)
     max_frames = 100
-    """Most frames of one animation: as the camera moves, each is new all over, and a GIF soon too large for a page."""
+    """Most frames of one animation: the moving camera changes every pixel, and a GIF soon is too large for a page."""
     planes: ClassVar[tuple[tuple[int, int], ...]] = ((0, 1), (0, 2))
     panel_shape, panel_scale, panel_text = 0.85, 0.7, 6.5
 
     @staticmethod
     def place(width: int, height: int, bottom: float, top: float) -> tuple[float, float, float, float]:
-        """Place of the axes in a picture [pixels]: left, bottom, width, height. They hold their own numbers."""
+        """Left, bottom, width and height of the axes, their tick labels included, in a picture [pixels]."""
         return 0.0, 0.4 * bottom, 0.575 * width, height - 0.4 * bottom - 0.5 * top
 
     def __init__(
@@ -115,16 +113,14 @@ class SpatialScene:
         _furnish(axes, box)
         _aim(axes, box, self.swing)
 
-        def line(color: str, **style: Any) -> Line3D:
-            made = Line3D([], [], [], color=color, **style)
-            axes.add_line(made)
-            return made
+        def line(color: str, **style: Any) -> Any:
+            return axes.add_line(Line3D([], [], [], color=color, **style))
 
-        def area(face: Any, zorder: float, **style: Any) -> Poly3DCollection:
-            return _added(axes, Poly3DCollection([], facecolors=face, zorder=zorder, **style))
+        def area(face: Any, zorder: float, **style: Any) -> Any:
+            return axes.add_collection3d(Poly3DCollection([], facecolors=face, zorder=zorder, **style), autolim=False)
 
-        def net(color: str, zorder: float, **style: Any) -> Line3DCollection:
-            return _added(axes, Line3DCollection([], colors=color, zorder=zorder, **style))
+        def net(color: str, zorder: float, **style: Any) -> Any:
+            return axes.add_collection3d(Line3DCollection([], colors=color, zorder=zorder, **style), autolim=False)
 
         self.view_shadow = area(VIEW_SHADE, 1.0, edgecolors=VIEW_SHADE, linewidths=0.6)
         self.path_shadow = line(PATH_SHADE, lw=1.1 * scale, zorder=1.3)
@@ -146,7 +142,7 @@ class SpatialScene:
 
     @property
     def artists(self) -> list[Artist]:
-        """Artists that move: the axes themselves, as the camera does."""
+        """Moving artists: the axes themselves, as the camera moves."""
         return [self.axes]
 
     def show(self, moment: int) -> None:
@@ -166,17 +162,16 @@ class SpatialScene:
         self.edges.set_segments([placed(state.pose, line) for line in self.data.outline])
         self.agent.set_verts([placed(state.pose, self.size * DART[list(face)]) for face in DART_FACES])
         self.targets.set_data_3d(*state.truth.T)
-        for areas, net, means, which in (
-            (self.seen, self.seen_net, self.seen_means, state.seen),
-            (self.unseen, self.unseen_net, self.unseen_means, ~state.seen),
-        ):
+        seen = self.seen, self.seen_net, self.seen_means, state.seen
+        unseen = self.unseen, self.unseen_net, self.unseen_means, ~state.seen
+        for areas, net, means, which in (seen, unseen):
             belief = state.estimate[which], state.covariance[which]
             areas.set_verts(list(contours(*belief, eye)))
             net.set_segments(list(meridians(*belief, eye)))
             means.set_data_3d(*belief[0].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:
-        """Set small numbers where `y`, and the names of the axes where `x` and `y`: all panels show the same box."""
+        """Set tick labels where `y`, and the names of the axes where `x` and `y`: all panels show the same box."""
         self.axes.margin_pt = 2.3 * size
         for name, axis in (("x", self.axes.xaxis), ("y", self.axes.yaxis), ("z", self.axes.zaxis)):
             axis.set_tick_params(labelsize=size, pad=0.3 * size - 5.7, color=GREY, width=0.6)
@@ -189,13 +184,8 @@ class SpatialScene:
         return np.concatenate([points[..., :2], np.full((*points.shape[:-1], 1), self.floor)], axis=-1)
 
 
-def _added(axes: SpaceAxes, collection: Drawn) -> Drawn:
-    axes.add_collection3d(collection, autolim=False)
-    return collection
-
-
 def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
-    """Set equal scales, and draw a light grid on a floor, no walls."""
+    """Set equal scales, and draw a floor with a light grid, no walls."""
     low, high = box
     axes.set(xlim=box[:, 0], ylim=box[:, 1], zlim=box[:, 2])
     axes.set_box_aspect(high - low)
@@ -213,14 +203,14 @@ def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
     x, y = x[(x > low[0]) & (x < high[0])], y[(y > low[1]) & (y < high[1])]
     segments = [[(t, low[1], low[2]), (t, high[1], low[2])] for t in (low[0], *x, high[0])]
     segments += [[(low[0], t, low[2]), (high[0], t, low[2])] for t in (low[1], *y, high[1])]
-    _added(axes, Line3DCollection(segments, colors=GRID, linewidths=0.6, zorder=1.2))
+    axes.add_collection3d(Line3DCollection(segments, colors=GRID, linewidths=0.6, zorder=1.2), autolim=False)
     floor = [(box[i, 0], box[j, 1], low[2]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    _added(axes, Poly3DCollection([floor], facecolors=FLOOR, zorder=0.9))
+    axes.add_collection3d(Poly3DCollection([floor], facecolors=FLOOR, zorder=0.9), autolim=False)
 
 
 def _aim(axes: SpaceAxes, box: np.ndarray, swing: float) -> None:
-    """Keep the box in sight from every place that the camera will have."""
-    # At the ends and in the middle of the swing: between them no corner reaches notably farther.
+    """Keep the box in sight from every position of the camera."""
+    # The ends and the middle of the swing suffice: between them no corner reaches notably farther.
     corners = np.array([(x, y, z, 1.0) for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
     flat = []
     for turn in (-swing / 2, 0.0, swing / 2):

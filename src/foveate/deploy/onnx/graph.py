@@ -1,4 +1,4 @@
-"""ONNX nodes for what networks are made of: dense layers, softmax over targets, inputs in the agent's frame, log(T)^v.
+"""ONNX nodes of the parts of a network: dense layers, softmax over targets, inputs in the agent's frame, log(T)^v.
 
 Every array has a leading batch axis b; n, the number of targets, is free too and may be 0. All numbers are float32.
 """
@@ -12,35 +12,31 @@ from foveate.geometry.space import Space
 from foveate.policies.inputs import Scale
 
 LOWEST = np.finfo(np.float32).min
-"""Score of absent targets. Not -inf, of which a softmax over nothing else is NaN."""
-
+"""Score of absent targets. Not -inf: the softmax of nothing else is NaN."""
 
 COTANGENT = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
-"""The series of (1 - (a/2) cot(a/2)) / a^2 in a^2; at 1 rad the first term left out is below 1e-11."""
+"""Coefficients of (1 - (a/2) cot(a/2)) / a^2 as a series in a^2; at 1 rad the next term is below 1e-11."""
 
 
 class Graph:
-    """Nodes and constants of a graph under construction.
-
-    `graph("Add", x, y)` adds a node and returns the name of its output; inputs that are not names become constants.
-    """
+    """Nodes and constants of a graph under construction."""
 
     def __init__(self) -> None:
         self.nodes: list[NodeProto] = []
         self.constants: list[TensorProto] = []
 
     def __call__(self, kind: str, *inputs: Any, output: str = "", **attributes: Any) -> str:
+        """Add a node and return the name of its output; inputs that are not names become constants."""
         names = [each if isinstance(each, str) else self.constant(each) for each in inputs]
         output = output or f"{kind}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(kind, names, [output], name=output, **attributes))
         return output
 
     def constant(self, value: Any) -> str:
-        """The name of a constant: int64 for whole numbers, else float32."""
-        array = np.asarray(value)
-        array = array.astype(np.int64 if array.dtype.kind in "iu" else np.float32)
-        name = f"constant_{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        """Add a constant, int64 for whole numbers, else float32; return its name."""
+        array, name = np.asarray(value), f"constant_{len(self.constants)}"
+        array = np.ascontiguousarray(array.astype(np.int64 if array.dtype.kind in "iu" else np.float32))
+        self.constants.append(numpy_helper.from_array(array, name))
         return name
 
     def dense(self, x: str, layer: Any) -> str:
@@ -54,20 +50,17 @@ class Graph:
         return x
 
     def softmax_mean(self, targets: str, scores: str) -> str:
-        """Mean of the targets (b, n, e) weighted by the softmax of scores (b, h, n) over them: shape (b, h, e).
-
-        Only targets that are present count; without any, the mean is 0.
-        """
+        """Mean (b, h, e) of the present targets (b, n, e), weighted by the softmax of scores (b, h, n); 0 without any."""
         present = self("Unsqueeze", "present", [1])
         weights = self("Softmax", self("Where", present, scores, LOWEST), axis=-1)
-        # Where all are absent all have the lowest score, and the softmax is uniform instead of 0.
+        # If all are absent, all have the lowest score, and the softmax is uniform instead of 0.
         return self("MatMul", self("Where", present, weights, 0.0), targets)
 
 
 class BodyInputs(NamedTuple):
     """Names of the targets' inputs in the agent's frame: state (b, n, n_y), packed information (b, n, p), rotation.
 
-    `rotation` is R (b, d, d), body to world: a vector of the world in the agent's frame is `vector @ rotation`.
+    `rotation` is R (b, d, d), body to world: `vector_body = vector_world @ rotation`.
     """
 
     mean: str
@@ -89,8 +82,7 @@ def body_inputs(graph: Graph, space: Space, state_size: int) -> BodyInputs:
         basis = np.zeros((16, 3, 3))
         for i, j in np.ndindex(3, 3):
             basis[4 * i + j, i, j] = 1.0
-    # R and diag(R, R, ..) are linear in `numbers`, and the position in those of the pose: one product with a constant
-    # matrix makes each of them.
+    # R and diag(R, R, ..) are linear in `numbers`, the position in the pose's: each is a product with a constant matrix.
     state_basis = np.stack([np.kron(np.eye(order), part).ravel() for part in basis])
     state_rotation = graph("Reshape", graph("MatMul", numbers, state_basis), [-1, 1, state_size, state_size])
     rotation = graph("Reshape", graph("MatMul", numbers, basis.reshape(len(basis), -1)), [-1, d, d])
@@ -104,30 +96,30 @@ def body_inputs(graph: Graph, space: Space, state_size: int) -> BodyInputs:
 
 
 def packed(graph: Graph, information: str, state_size: int) -> str:
-    """The lower triangle, row by row: (b, n, n_y, n_y) to (b, n, p)."""
+    """Pack the lower triangle row by row: (b, n, n_y, n_y) to (b, n, p)."""
     rows, columns = np.tril_indices(state_size)
     flat = graph("Reshape", information, [0, 0, state_size**2])
     return graph("Gather", flat, rows * state_size + columns, axis=2)
 
 
 def features(graph: Graph, mean: str, information: str, length_m: float, scale: Scale) -> str:
-    """Mean and information of each target as a network reads them; zeros where none is present."""
+    """Features of each target, from its mean and information; zeros where none is present."""
     scaled = graph("Asinh", information) if scale == "asinh" else information
     return only_present(graph, graph("Concat", graph("Div", mean, length_m), scaled, axis=2))
 
 
 def only_present(graph: Graph, values: str) -> str:
-    """Zeros where no target is present."""
+    """Set values to zero where no target is present."""
     return graph("Where", graph("Unsqueeze", "present", [2]), values, 0.0)
 
 
 def logarithm(graph: Graph, space: Space) -> str:
-    """log(T)^v of the pose, shape (b, n_u), as `Space.log`."""
-    return _planar_logarithm(graph) if space.dimension == 2 else _spatial_logarithm(graph)
+    """log(T)^v of the pose, shape (b, n_u), as `Space.log`.
 
-
-def _planar_logarithm(graph: Graph) -> str:
-    """[R(-w/2) position / sinc(w/2); w], w the yaw wrapped to (-pi, pi]."""
+    In the plane [R(-w/2) position / sinc(w/2); w], w the yaw wrapped to (-pi, pi].
+    """
+    if space.dimension == 3:
+        return _spatial_logarithm(graph)
     yaw = graph("Gather", "pose", [2], axis=1)
     turns = graph("Ceil", graph("Div", graph("Sub", yaw, np.pi), 2 * np.pi))
     w = graph("Sub", yaw, graph("Mul", turns, 2 * np.pi))
@@ -143,7 +135,7 @@ def _planar_logarithm(graph: Graph) -> str:
 
 def _quaternion(graph: Graph) -> tuple[str, str]:
     """q_w >= 0 (b, 1) and n (b, 3) of the pose's rotation: the row of 4 q q^T with the largest diagonal, scaled."""
-    outer = np.zeros((16, 16))  # from the 16 numbers of the pose to those of 4 q q^T - I
+    outer = np.zeros((16, 16))  # maps the 16 numbers of the pose to those of 4 q q^T - I
 
     def put(place: tuple[int, int], *terms: tuple[int, int, int]) -> None:
         for sign, i, j in terms:

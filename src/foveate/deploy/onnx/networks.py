@@ -1,4 +1,4 @@
-"""The networks of `policies/` as ONNX nodes: from a pose and predicted beliefs to the action before its tanh."""
+"""Networks of `policies/` as ONNX nodes: from a pose and predicted beliefs to the action before its tanh."""
 
 import numpy as np
 from onnx import TensorProto
@@ -15,7 +15,7 @@ def attention(graph: Graph, policy: AttentionPolicy, state_size: int) -> str:
         agent, mean = logarithm(graph, policy.space), "mean"
         information = packed(graph, "information", state_size)
     else:
-        # A constant: the runtime computes all that follows from it alone when it loads the graph.
+        # A constant: the runtime folds all that depends on it alone when it loads the graph.
         agent = graph.constant(np.zeros((1, policy.space.twist_size)))
         mean, information, _ = body_inputs(graph, policy.space, state_size)
     targets = features(graph, mean, information, policy.length_m, policy.information)
@@ -25,8 +25,7 @@ def attention(graph: Graph, policy: AttentionPolicy, state_size: int) -> str:
     context = graph("Relu", graph("Squeeze", graph.softmax_mean(targets, scores), [1]))
     first, *rest = policy.out_layers
     weight, size = np.asarray(first.weight).T, np.asarray(policy.target_layers[-1].bias).size
-    # A first layer on [context, agent] is the sum of one on each: the agent's part is constant in the body frame,
-    # and then computed only once.
+    # A first layer on [context, agent] is the sum of one on each: in the body frame the agent's part is constant.
     by_agent = graph("Add", graph("MatMul", agent, weight[size:]), np.asarray(first.bias))
     hidden = graph("Add", graph("MatMul", context, weight[:size]), by_agent)
     for layer in rest:
@@ -48,15 +47,10 @@ def set_encoder(graph: Graph, network: SetEncoder, state_size: int, input_size: 
         own_inputs.append(only_present(graph, graph("MatMul", "known_input", rotation)))
     left = graph("Max", graph("Cast", graph("Unsqueeze", "steps_left", [1]), to=TensorProto.FLOAT), 0.0)
     count = graph("ReduceSum", graph("Cast", "present", to=TensorProto.FLOAT), [1])
-    common = graph(
-        "Concat",
-        graph("Min", graph("Div", left, STEPS_LEFT_UNIT), MAX_STEPS_LEFT),
-        graph("Exp", graph("Div", left, -FINAL_STEPS)),
-        graph("Div", count, TARGETS_UNIT),
-        axis=1,
-    )
-    # The three numbers `common` to all targets stand in the middle of a target's inputs: their part of the first layer
-    # is computed once for all.
+    horizon = graph("Min", graph("Div", left, STEPS_LEFT_UNIT), MAX_STEPS_LEFT)
+    final = graph("Exp", graph("Div", left, -FINAL_STEPS))
+    common = graph("Concat", horizon, final, graph("Div", count, TARGETS_UNIT), axis=1)
+    # The three `common` inputs are in the middle of a target's: their part of the first layer is computed once for all.
     first, *rest = network.target_layers
     weight = np.asarray(first.weight).T
     begin = state_size + state_size * (state_size + 1) // 2 + d + 1

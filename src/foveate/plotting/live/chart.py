@@ -1,4 +1,4 @@
-"""Numbers and curves of an episode as it unfolds, and their chart in the scene, where a page has no panel."""
+"""Numbers and curves of an episode up to a moment, and their chart in the scene of a page without a panel."""
 
 from typing import Any
 
@@ -6,24 +6,24 @@ import numpy as np
 from jaxtyping import Float
 
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
-from foveate.plotting.live.scene import NO_SEGMENTS, SCREEN_LINES, color, segments, set_segments
+from foveate.plotting.live.scene import add_line, segments, set_segments
 from foveate.plotting.scene import BLACK, GREY
 
 LEGEND = "beliefs (95 %): green, thick: seen now; orange, thin: not seen now; black: where targets really are"
 MAX_CURVES = 20
-"""Of more targets only the mean is drawn."""
+"""With more targets, only the mean is drawn."""
 
 TICKS = 4
 
 
 def curves(data: EpisodeData) -> Float[np.ndarray, "steps curves"]:
-    """Mean log det after each step [nat], then that of each target; NaN where there is none."""
+    """Mean log det after each step [nat], then that of each target; NaN where none is present."""
     each = data.log_det_present if data.targets <= MAX_CURVES else np.zeros((data.steps, 0))
     return np.column_stack([data.mean_log_det, each])
 
 
 def facts(data: EpisodeData, moment: int) -> dict[str, str]:
-    """Time, step, score so far, targets seen now, share of time seen, and, where all stay, targets ever seen."""
+    """Time, step, score so far, targets seen, share of time seen, and, where all stay, targets ever seen."""
     k = moment // SUBSTEPS
     score = data.mean_log_det[k - 1] if k else np.nan
     values = {
@@ -33,27 +33,26 @@ def facts(data: EpisodeData, moment: int) -> dict[str, str]:
         "seen now": f"{data.seen_at(k).sum()} of {data.present[k].sum()}",
         "of the time": f"{data.seen_share_until(k):.0%}",
     }
-    # Where targets come and go, a column may serve several: its count would say nothing of targets.
+    # Where targets come and go, several may share a column: their number would not be that of targets.
     if data.present.all():
         values["ever seen"] = f"{data.visible[:k].any(axis=0).sum()} of {data.targets}"
     return values
 
 
 class SceneChart:
-    """Chart of the curves that stands behind the scene, with time, score and targets seen as a label above it."""
+    """Chart of the curves behind the scene, labelled with time, score and targets seen."""
 
     def __init__(self, scene: Any, data: EpisodeData, box: Float[np.ndarray, "2 3"]) -> None:
         self._data, self._curves = data, curves(data)
         low, high = axis_range(self._curves)
         width = float(np.ptp(box[:, 0]))
         height = 0.35 * width
-        # It stands on the floor of a planar scene, and hangs over one of space, behind its far side: nothing hides it.
-        corner = np.array([box[0, 0], box[1, 1] + 0.25 * np.ptp(box[:, 1]), box[1, 2]])
-        steps = data.times_s / (data.times_s[-1] or 1.0)
-        self._corner, self._across, self._up = corner, width * steps, height
+        # Behind the far side of the box, on the floor of a planar scene or above a spatial one, nothing hides it.
+        self._corner = corner = np.array([box[0, 0], box[1, 1] + 0.25 * np.ptp(box[:, 1]), box[1, 2]])
+        self._across, self._up = width * (data.times_s / (data.times_s[-1] or 1.0)), height
         self._share = (self._curves - low) / (high - low)
         frame = corner + np.array([[0, 0, height], [0, 0, 0], [width, 0, 0]])
-        scene.add_line_segments("/chart/frame", segments(frame), color(GREY), thickness=1.5, **SCREEN_LINES)
+        add_line(scene, "/chart/frame", GREY, 1.5, segments(frame))
         text: dict[str, Any] = {"font_size_mode": "scene", "font_scene_height": 0.045 * width}
         for i in range(TICKS):
             share = i / (TICKS - 1)
@@ -64,8 +63,7 @@ class SceneChart:
         for i, line in enumerate((unit, LEGEND)):
             below = corner + np.array([0, 0, -(0.02 + 0.045 * i) * width])
             scene.add_label(f"/chart/text/{i}", line, position=below, **text)
-        self._each = scene.add_line_segments("/chart/each", NO_SEGMENTS, color(GREY), thickness=1.5, **SCREEN_LINES)
-        self._mean = scene.add_line_segments("/chart/mean", NO_SEGMENTS, color(BLACK), thickness=3.0, **SCREEN_LINES)
+        self._each, self._mean = add_line(scene, "/chart/each", GREY, 1.5), add_line(scene, "/chart/mean", BLACK, 3.0)
         top = corner + np.array([0, 0, 1.12 * height])
         self._label = scene.add_label("/chart/facts", "", position=top, anchor="bottom-left", **text)
 

@@ -1,4 +1,4 @@
-"""Panel of the live page: what is chosen in it, the clock that plays it, and the chart beside the scene."""
+"""Panel of the live page: its choices, its clock, and the chart beside the scene."""
 
 import threading
 from collections.abc import Callable
@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
-from foveate.plotting.live.chart import LEGEND, MAX_CURVES, curves, facts
+from foveate.plotting.live.chart import LEGEND, curves, facts
 from foveate.plotting.live.scene import LiveScene, aim_cameras
 from foveate.plotting.scene import BLACK, CYCLE, describe
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 25.0, 50.0)
 SHORT_S = 60.0
-"""An episode that would take longer than this is played faster at first."""
+"""A longer episode is played faster at first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeSource:
-    """Scenes and methods to choose from, and the function that gives the episode of a scene and a method."""
+    """Scenes and methods to choose from; `episode` maps a choice to its episode."""
 
     scenes: tuple[str, ...]
     methods: tuple[str, ...]
@@ -27,17 +27,17 @@ class EpisodeSource:
 
 
 def plain(text: str) -> str:
-    """Markdown that shows a text as it is: names from files must bring no pictures from elsewhere into the page."""
+    """Markdown of a literal text: a name from a file must not load pictures into the page."""
     return "".join(c if c.isalnum() or c in " .,:" else f"&#{ord(c)};" for c in text)
 
 
 def usual_speed(data: EpisodeData) -> float:
-    """Least speed, real time or faster, that plays an episode in a minute."""
+    """Slowest speed, at least real time, that plays an episode in a minute."""
     return next((speed for speed in SPEEDS if speed >= 1 and data.times_s[-1] / speed <= SHORT_S), SPEEDS[-1])
 
 
 class Player:
-    """The page's panel, and the clock that moves scene and panel on: call `tick` again and again."""
+    """Panel of the page; `tick`, called repeatedly, advances scene and panel."""
 
     def __init__(self, server: Any, source: EpisodeSource) -> None:
         self._server, self._source = server, source
@@ -75,15 +75,15 @@ class Player:
                 self._time_s = float(data.times_s[min(max(step, 0), data.steps)])
 
     def tick(self, seconds: float) -> None:
-        """Show the episode chosen, further by these seconds times the speed."""
-        chosen = self._scene.value, self._method.value
-        if chosen != self._shown:
-            self._load(*chosen)
-        data = self._episodes[chosen]
+        """Advance the selected episode by this time [s] multiplied by the speed."""
+        selected = self._scene.value, self._method.value
+        if selected != self._shown:
+            self._load(*selected)
+        data = self._episodes[selected]
         with self._lock:
             end = float(data.times_s[-1])
             if self._play.value:
-                # Played at its end, it begins again.
+                # Played at its end, the episode restarts.
                 self._time_s = self._time_s + seconds * float(self._speed.value) if self._time_s < end else 0.0
                 if self._time_s >= end:
                     self._time_s, self._play.value = end, False
@@ -123,23 +123,16 @@ class Player:
 
 
 def _chart_data(data: EpisodeData, values: np.ndarray, k: int) -> tuple[np.ndarray, ...]:
-    """Times and curves up to step k; where a target is absent its curve is below the chart.
-
-    Across NaN the page would draw a straight line, as if there were information about an absent target.
-    """
+    """Times and curves up to step k; the curve of an absent target is below the chart: NaN would be bridged."""
     low, high = axis_range(values)
     return (data.times_s[1 : k + 1], *np.where(np.isfinite(values[:k]), values[:k], 2 * low - high).T)
 
 
 def _panel_chart(gui: Any, data: EpisodeData, values: np.ndarray) -> Any:
     """Add a chart of log det of every target's information over time; the mean is black."""
-    colors = [BLACK, *(CYCLE[i % (len(CYCLE) - 1)] for i in range(MAX_CURVES))]
-    names = ["mean", *(f"target {i + 1}" for i in range(values.shape[1] - 1))]
-    series = [{"label": "time [s]"}]
-    series += [
-        {"label": name, "stroke": stroke, "width": 1 if name != "mean" else 3}
-        for name, stroke in zip(names, colors, strict=False)
-    ]
+    series = [{"label": "time [s]"}, {"label": "mean", "stroke": BLACK, "width": 3}]
+    for i in range(values.shape[1] - 1):
+        series.append({"label": f"target {i + 1}", "stroke": CYCLE[i % (len(CYCLE) - 1)], "width": 1})
     return gui.add_uplot(
         _chart_data(data, values, 0),
         tuple(series),

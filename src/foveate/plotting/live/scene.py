@@ -1,7 +1,6 @@
-"""Scene of an episode in a browser, through viser's 3-D scene; that of a planar episode lies on the floor.
+"""Scene of an episode in a browser, drawn by viser; a planar episode lies on the floor.
 
-Everything is made once and then moved; there is a body for each column of the episode, hidden while it has nothing to
-show.
+Everything is added once and then moved. Each column of the episode has its bodies, hidden while no target is present.
 """
 
 from collections.abc import Sequence
@@ -19,46 +18,47 @@ from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN
 from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
 
 LAYER = 0.01
-"""Height of a layer of planar things over the one below, in sizes of the agent: in one plane they would flicker."""
-
-SCREEN_LINES: dict[str, Any] = {"thickness_units": "screen"}
-"""Style of lines that are as thick from near as from far."""
+"""Height of a planar layer over the one below, in sizes of the agent: in one plane they would flicker."""
 
 NO_SEGMENTS = np.zeros((1, 2, 3))
-"""A line of no length: viser takes no empty one."""
+"""Line of no length: viser accepts no empty one."""
 
 Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
 
 
-def color(name: str) -> tuple[int, int, int]:
-    """RGB of a colour of matplotlib, from 0 to 255."""
-    red, green, blue = (round(255 * part) for part in to_rgb(name))
-    return red, green, blue
+def color(name: str) -> tuple[int, ...]:
+    """RGB of a matplotlib colour, from 0 to 255."""
+    return tuple(round(255 * part) for part in to_rgb(name))
 
 
 def lifted(points: Float[np.ndarray, "*m d"], height: float = 0.0) -> Float[np.ndarray, "*m 3"]:
-    """Lift points of the plane into space; those of space are returned as they are."""
+    """Lift planar points to a height [m]; spatial ones are returned unchanged."""
     if points.shape[-1] == 3:
         return points
     return np.concatenate([points, np.full((*points.shape[:-1], 1), height)], axis=-1)
 
 
 def segments(line: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 2 3"]:
-    """Cut a line into its segments, without those that have an end at NaN."""
+    """Cut a line into its segments, except those with an end at NaN."""
     pairs = np.stack([line[:-1], line[1:]], axis=1)
     return pairs[np.isfinite(pairs).all(axis=(1, 2))]
 
 
 def set_segments(handle: Any, parts: Sequence[Float[np.ndarray, "_ 2 3"]]) -> None:
-    """Give a line of the scene these segments; it is hidden where there are none."""
+    """Set the segments of a line in the scene; hide it without any."""
     points = np.concatenate([np.zeros((0, 2, 3)), *parts])
     handle.visible = bool(len(points))
     if len(points):
         handle.points = points
 
 
+def add_line(scene: Any, name: str, tint: str, thickness: float, parts: np.ndarray = NO_SEGMENTS) -> Any:
+    """Add a line of these segments, of a width in pixels; return its handle."""
+    return scene.add_line_segments(name, parts, color(tint), thickness=thickness, thickness_units="screen")
+
+
 def ball() -> Mesh:
-    """Mesh of the unit sphere of 12 x 24 faces."""
+    """Mesh of the unit sphere, 12 x 24 quadrilaterals."""
     polar, around = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 25), indexing="ij")
     points = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
     corner = np.arange(12)[:, None] * 25 + np.arange(24)
@@ -68,50 +68,50 @@ def ball() -> Mesh:
 
 def disc() -> Mesh:
     """Mesh of the unit disc on the floor."""
-    n = len(CIRCLE)
-    rim = np.stack([np.full(n - 1, n), np.arange(n - 1), np.arange(1, n)], axis=-1)
-    return np.concatenate([lifted(CIRCLE), np.zeros((1, 3))]), rim
+    return _fan(lifted(CIRCLE), np.zeros(3))
 
 
 def fan(line: Float[np.ndarray, "n d"]) -> Mesh:
-    """Mesh of the area within a closed line: a fan from the origin where the line meets it, else from its middle."""
-    # From its apex, a sector of more than half a turn is still a fan: from its middle it would not be.
+    """Mesh of the area within a closed line: a fan from the origin if the line passes it, else from its middle."""
+    # From its apex, a sector of more than half a turn is a fan; from its middle it is not.
     points = lifted(line)
     apex = np.abs(points).sum(axis=1) < 1e-9
-    middle = np.zeros(3) if apex.any() else points[:-1].mean(axis=0)
+    return _fan(points, np.zeros(3) if apex.any() else points[:-1].mean(axis=0))
+
+
+def _fan(points: Float[np.ndarray, "n 3"], middle: Float[np.ndarray, "3"]) -> Mesh:
     n = len(points)
-    return np.concatenate([points, [middle]]), np.stack([np.full(n - 1, n), np.arange(n - 1), np.arange(1, n)], -1)
+    return np.concatenate([points, [middle]]), np.stack([np.full(n - 1, n), np.arange(n - 1), np.arange(1, n)], axis=-1)
 
 
 def view_mesh(data: EpisodeData) -> Mesh:
     """Mesh of the faces of the field of view in the body frame."""
-    polygons = faces(data.outline) if data.space.dimension == 3 else data.outline
-    closed = [line if is_closed(line) else np.concatenate([line, line[:1]]) for line in polygons]
-    meshes = [fan(line) for line in closed]
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    parts = [triangles + start for (_, triangles), start in zip(meshes, starts[:-1], strict=True)]
-    empty: list[Any] = [np.zeros((0, 3))]
-    return np.concatenate([v for v, _ in meshes] or empty), np.concatenate(parts or empty).astype(int)
+    vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), int)
+    for line in faces(data.outline) if data.space.dimension == 3 else data.outline:
+        corners, parts = fan(line if is_closed(line) else np.concatenate([line, line[:1]]))
+        triangles = np.concatenate([triangles, parts + len(vertices)])
+        vertices = np.concatenate([vertices, corners])
+    return vertices, triangles
 
 
 def quaternion(R: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "4"]:
-    """Quaternion [w, x, y, z] of a rotation of the plane or of space."""
+    """Quaternion [w, x, y, z] of a planar or spatial rotation."""
     full = np.eye(3)
     full[: len(R), : len(R)] = R
     return Rotation.from_matrix(full).as_quat(scalar_first=True)
 
 
 def turn_and_scale(covariance: Float[np.ndarray, "d d"]) -> tuple[Float[np.ndarray, "4"], tuple[float, float, float]]:
-    """Quaternion and scale [m] that make the unit disc or sphere the region that holds 95 % of N(0, covariance)."""
+    """Quaternion and scale [m] that map the unit disc or sphere to the 95 % region of N(0, covariance)."""
     directions, lengths = principal_axes(covariance)
-    # Eigenvectors may be a reflection, which no quaternion is; a region is the same with one of its axes reversed.
+    # Eigenvectors may form a reflection, which has no quaternion; reversing one axis leaves the region the same.
     directions[:, 0] *= np.sign(np.linalg.det(directions))
     first, second, *third = lengths.tolist()
     return quaternion(directions), (first, second, third[0] if third else 1.0)
 
 
 class LiveScene:
-    """Episode in a viser scene. `show` moves it to a moment."""
+    """Episode in a viser scene; `show` moves it to a moment."""
 
     def __init__(self, scene: Any, data: EpisodeData) -> None:
         self.data, self._arc, self._scene = data, data.arc(), scene
@@ -122,42 +122,38 @@ class LiveScene:
         unit = disc() if planar else ball()
         rings = [lifted(CIRCLE)] if planar else [np.roll(lifted(CIRCLE), turn, axis=1) for turn in range(3)]
         border = np.concatenate([segments(ring) for ring in rings])
-        # Shadows show how high things are.
+        # Shadows show heights.
         scene.configure_default_lights(cast_shadow=not planar)
         self._floor(extent)
         self._agent = scene.add_frame("/agent", show_axes=False)
         view, dart = view_mesh(data), (self.size * DART, np.array(DART_FACES))
         lines = np.concatenate([segments(lifted(line)) for line in data.outline])
+        glass: dict[str, Any] = {"side": "double", "cast_shadow": False}
         if len(view[1]):
-            style: dict[str, Any] = {"opacity": 0.25 if planar else 0.12, "side": "double", "cast_shadow": False}
-            scene.add_mesh_simple("/agent/view", *view, color=color(SKY), **style)
-        scene.add_line_segments("/agent/border", lines, color(AGENT), thickness=1.5, **SCREEN_LINES)
+            scene.add_mesh_simple("/agent/view", *view, color=color(SKY), opacity=0.25 if planar else 0.12, **glass)
+        add_line(scene, "/agent/border", AGENT, 1.5, lines)
         scene.add_mesh_simple("/agent/body", *dart, color=color(AGENT), side="double", flat_shading=True)
-        self._path = scene.add_line_segments("/path", NO_SEGMENTS, color(AGENT), thickness=2.5, **SCREEN_LINES)
-        self._trails = scene.add_line_segments("/trails", NO_SEGMENTS, color(GREY), thickness=1.5, **SCREEN_LINES)
-        glass: dict[str, Any] = {"opacity": 0.35, "side": "double", "cast_shadow": False, "receive_shadow": False}
+        self._path, self._trails = add_line(scene, "/path", AGENT, 2.5), add_line(scene, "/trails", GREY, 1.5)
         self._beliefs, self._borders, self._means, self._targets = [], [], [], []
         for i in range(data.targets):
-            self._beliefs.append(scene.add_mesh_simple(f"/belief/{i}", *unit, **glass))
-            line = scene.add_line_segments(f"/border/{i}", border, color(SEEN), thickness=2.0, **SCREEN_LINES)
-            self._borders.append(line)
+            belief = scene.add_mesh_simple(f"/belief/{i}", *unit, opacity=0.35, receive_shadow=False, **glass)
+            self._beliefs.append(belief)
+            self._borders.append(add_line(scene, f"/border/{i}", SEEN, 2.0, border))
             self._means.append(scene.add_icosphere(f"/estimate/{i}", 0.3 * self.size, color=color(SEEN)))
-            side = (0.45 * self.size,) * 3
-            self._targets.append(scene.add_box(f"/target/{i}", color=color(BLACK), dimensions=side))
+            box = scene.add_box(f"/target/{i}", color=color(BLACK), dimensions=(0.45 * self.size,) * 3)
+            self._targets.append(box)
 
     def _floor(self, extent: float) -> None:
-        """Add the floor: a grid of cells of a round number of metres, 2 to 20 across."""
+        """Add the floor: a grid of 2 to 20 cells across, whose side is a power of ten [m]."""
         middle = self.box.mean(axis=0)
         floor = (middle[0], middle[1], self.box[0, 2] - 0.001 * extent)
         cell = 10.0 ** np.floor(np.log10(extent / 2))
         width, height = (float(side) for side in np.ceil(np.ptp(self.box[:, :2], axis=0) / cell + 1) * cell)
-        style: dict[str, Any] = {"cell_color": (225, 225, 225), "section_color": (190, 190, 190)}
-        self._scene.add_grid(
-            "/floor", width, height, position=floor, cell_size=cell / 5, section_size=cell, plane="xy", **style
-        )
+        style: dict[str, Any] = {"cell_color": (225, 225, 225), "section_color": (190, 190, 190), "plane": "xy"}
+        self._scene.add_grid("/floor", width, height, position=floor, cell_size=cell / 5, section_size=cell, **style)
 
     def camera(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position of a camera that sees the whole, and the point it looks at [m]."""
+        """Position of a camera that sees the whole scene, and the point it looks at [m]."""
         middle = self.box.mean(axis=0)
         steep = 1.1 if self.data.space.dimension == 2 else 0.35
         return middle + np.ptp(self.box, axis=0).max() * np.array([-0.12, -0.7, steep]), middle
@@ -174,23 +170,23 @@ class LiveScene:
         set_segments(self._trails, [segments(lifted(track, layer)) for track in tracks.swapaxes(0, 1)])
         mean, truth = lifted(state.estimate, 4 * layer), lifted(state.truth, 5 * layer)
         for i in range(self.data.targets):
-            shown = i < len(truth)
-            for each in (self._beliefs[i], self._borders[i], self._means[i], self._targets[i]):
-                each.visible = shown
-            if not shown:
+            belief, border, estimate, target = self._beliefs[i], self._borders[i], self._means[i], self._targets[i]
+            for each in (belief, border, estimate, target):
+                each.visible = i < len(truth)
+            if i >= len(truth):
                 continue
             tint, (turn, scale) = color(SEEN if state.seen[i] else UNSEEN), turn_and_scale(state.covariance[i])
-            for each in (self._beliefs[i], self._borders[i]):
+            for each in (belief, border):
                 each.position, each.wxyz, each.scale = mean[i], turn, scale
-            self._beliefs[i].color = self._means[i].color = tint
-            self._borders[i].colors = np.array(tint, np.uint8)
+            belief.color = estimate.color = tint
+            border.colors = np.array(tint, np.uint8)
             # For colour-blind readers beliefs differ in thickness, too.
-            self._borders[i].thickness = 4.0 if state.seen[i] else 1.5
-            self._means[i].position, self._targets[i].position = mean[i], truth[i]
+            border.thickness = 4.0 if state.seen[i] else 1.5
+            estimate.position, target.position = mean[i], truth[i]
 
 
 def aim_cameras(server: Any, scene: LiveScene) -> None:
-    """Let everybody look at the whole scene, and whoever comes later."""
+    """Aim the cameras of all clients, present and future, at the whole scene."""
     position, middle = scene.camera()
     for camera in (server.initial_camera, *(client.camera for client in server.get_clients().values())):
         camera.position, camera.look_at = position, middle

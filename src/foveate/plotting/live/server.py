@@ -1,6 +1,6 @@
-"""The live view (extra `view`): episodes in a browser, from this machine only, or in one page that needs no server.
+"""Live view (extra `view`): episodes in a browser, or in a page that needs no server.
 
-A page is served at 127.0.0.1 and nowhere else, and its button to share it with the world is hidden.
+A page is served at 127.0.0.1 only, and its button to share it publicly is hidden.
 """
 
 import contextlib
@@ -25,24 +25,24 @@ from foveate.plotting.live.scene import LiveScene, aim_cameras
 HOST = "127.0.0.1"
 FRAME_RATE_HZ = 12.0
 MAX_FRAMES = 600
-"""Most frames of a page without a server: a longer episode is shown with fewer frames."""
+"""Most frames of a recorded page; a longer episode has a lower frame rate."""
 
 
 @contextlib.contextmanager
 def _server(port: int) -> Iterator[Any]:
-    """Run a server at 127.0.0.1, stopped in the end. Raises InputError for a port that is taken, or without viser."""
+    """Run a server at 127.0.0.1. Raises InputError for a port that is taken, or without viser."""
     try:
         import viser
     except ImportError as error:
         raise InputError(f"viewing needs viser ({error}): pip install 'foveate[view]'") from error
-    taken = InputError(f"--port {port}: is in use, or not for everybody: choose another, say {port + 1}")
+    taken = InputError(f"--port {port}: expected a port that is free and allowed: try {port + 1}")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError) as error:
             raise taken from error
-    # viser prints a banner of its own, whatever it is told.
+    # viser prints a banner even if not verbose.
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=HOST, port=port, label="foveate", verbose=False)
     try:
@@ -55,10 +55,9 @@ def _server(port: int) -> Iterator[Any]:
 
 
 def record(data: EpisodeData, path: Path) -> None:
-    """Write a page that plays one episode without a server: the scene, a chart in it, a bar to play it by.
+    """Write a page that plays one episode without a server: the scene, a chart in it, and a playback bar.
 
-    Raises:
-        InputError: another ending than .html, or viser is missing.
+    Raises InputError for another ending than .html, or without viser.
     """
     if path.suffix.lower() != ".html":
         raise InputError(f"{path}: expected a name that ends in .html")
@@ -83,7 +82,7 @@ def record(data: EpisodeData, path: Path) -> None:
 
 def serve(source: EpisodeSource, port: int, say: Callable[[str], None] = print) -> None:
     """Serve the page at 127.0.0.1 until interrupted. Raises InputError for a port that is taken, or without viser."""
-    # A browser that opens a connection and thinks better of it is not worth a traceback.
+    # A browser that drops its connection at once needs no traceback.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     with _server(port) as server:
         player = Player(server, source)

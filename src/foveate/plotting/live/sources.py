@@ -1,4 +1,4 @@
-"""Sources of the live view: a policy and the heuristics in the scenes of an evaluation, or in a recording."""
+"""Sources of the live view: methods in the scenes of an evaluation, or in a recording."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ from foveate.scenario.scenes import Scene
 
 
 def methods_from(first: str | None) -> tuple[str, ...]:
-    """All methods, the chosen one first."""
+    """All methods, `first` at the beginning."""
     if first == "all":
         raise InputError(f"method all: expected one of {', '.join(METHODS)}, to begin with")
     return METHODS if first is None else tuple(dict.fromkeys((*methods_of(first), *METHODS)))
@@ -37,33 +37,33 @@ def simulated(
     seed: int,
     scene_seed: int,
 ) -> EpisodeSource:
-    """Episodes of scenes, of which `first` is shown first: with the noise that an evaluation has from `seed`."""
-    name, known = scenes_of(scenes, scene_seed, subject.experiment)
-    by_id = {scene.id: scene for scene in known}
+    """Episodes of scenes, the one with the id `first` at the beginning, with the noise of an evaluation from `seed`."""
+    name, suite = scenes_of(scenes, scene_seed, subject.experiment)
+    by_id = {scene.id: scene for scene in suite}
     if first is not None and first not in by_id:
         raise InputError(f"scene {first}: no such scene in {name}: {suggestion(first, by_id)}")
     order = by_id if first is None else dict.fromkeys((first, *by_id))
     problem, settings = subject.experiment.scenario.problem(), subject.experiment.scenario.scenes
 
-    def make(scene: str, method: str) -> EpisodeData:
-        suite = prepare(problem, settings, [by_id[scene]], seed)
-        return suite_data(suite, subject.policy(method), protocol, method)[0]
+    def episode(scene: str, method: str) -> EpisodeData:
+        ready = prepare(problem, settings, [by_id[scene]], seed)
+        return suite_data(ready, subject.policy(method), protocol, method)[0]
 
-    return EpisodeSource(scenes=tuple(order), methods=tuple(methods), episode=make)
+    return EpisodeSource(scenes=tuple(order), methods=tuple(methods), episode=episode)
 
 
 def recorded(
     subject: Subject, recording: Recording, methods: Sequence[str], max_gap: float | None, seed: int
 ) -> tuple[EpisodeSource, list[str]]:
-    """Drives through a recording from its middle, and lines to read before trusting them."""
-    name, scenario = Path(recording.name).name, subject.experiment.scenario
+    """Episodes of a recording, begun in its middle, and warnings about it."""
+    scenario, scenes = subject.experiment.scenario, (Path(recording.name).name,)
     gap_s = default_max_gap_s(recording) if max_gap is None else max_gap
     box_world = jnp.asarray(np.stack(recording.extent), float)
     ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario), gap_s, seed)
 
-    def make(scene: str, method: str) -> EpisodeData:
+    def episode(scene: str, method: str) -> EpisodeData:
         _, trace = drive(ready, method, subject.policy(method, box_world))
         return replay_data(ready, trace, f"{method} on {scene}")
 
-    source = EpisodeSource(scenes=(name,), methods=tuple(methods), episode=make)
-    return source, warnings_for(scenario, recording, ready.slots, gap_s)
+    warnings = warnings_for(scenario, recording, ready.slots, gap_s)
+    return EpisodeSource(scenes=scenes, methods=tuple(methods), episode=episode), warnings
