@@ -18,6 +18,9 @@ from foveate.simulation import step
 from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
 from foveate.types import Action, Key
 
+FULL = Backpropagation()
+"""A gradient through all steps, with all states stored."""
+
 Decide = Callable[[Observation, Any, Key], tuple[Action, Any, Any]]
 """(observation, memory, key) -> (action, memory for the next step, notes): a policy, with notes for the record."""
 
@@ -43,14 +46,13 @@ def simulate(
     *,
     memory: Any = (),
     state: State | None = None,
-    back: Backpropagation | None = None,
+    back: Backpropagation = FULL,
 ) -> PyTree:
     """Run all steps of an episode, the one scan over steps; return the records, each array with a leading axis of K.
 
     `decide` gets `key` folded with the number of the step, and at the first step `memory`. The simulation begins with
     `state`, by default the start of the episode. A gradient goes through all steps unless `back` says otherwise.
     """
-    back = back or Backpropagation()
 
     def advance(carry, instant):
         if back.window is not None:
@@ -94,7 +96,13 @@ def _rematerialised_scan(step, first, steps, length: int):
 
 
 def _play(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, record, back=None
+    problem: Problem,
+    policy: Policy,
+    episode: Episode,
+    protocol: Protocol,
+    key: Key,
+    record,
+    back: Backpropagation = FULL,
 ) -> PyTree:
     """Simulate an episode with a policy."""
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
@@ -119,32 +127,18 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
 
 
 def log_dets(
-    problem: Problem,
-    policy: Policy,
-    episode: Episode,
-    protocol: Protocol,
-    key: Key,
-    back: Backpropagation | None = None,
+    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Backpropagation = FULL
 ) -> Float[Array, "K n"]:
     """log det Y_k of every target after every step, the mean over the levels: the objective of training."""
-    return _play(
-        problem,
-        policy,
-        episode,
-        protocol,
-        key,
-        lambda outcome: jnp.mean(log_det_spd(outcome.state.information), 0),
-        back,
-    )
+
+    def record(outcome: Outcome):
+        return jnp.mean(log_det_spd(outcome.state.information), axis=0)
+
+    return _play(problem, policy, episode, protocol, key, record, back)
 
 
 def weights(
-    problem: Problem,
-    policy: Policy,
-    episode: Episode,
-    protocol: Protocol,
-    key: Key,
-    back: Backpropagation | None = None,
+    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Backpropagation = FULL
 ) -> Float[Array, "K n"]:
     """Weight 1 - Phi of every target after every step, the mean over the levels."""
     return _play(problem, policy, episode, protocol, key, lambda outcome: jnp.mean(outcome.weight, axis=0), back)
