@@ -6,7 +6,6 @@ tag, in each. One member may lack the tag or have a default for it, and is selec
 with other fields raises TypeError, wrong input InputError.
 """
 
-import hashlib
 import json
 import re
 import tomllib
@@ -14,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from foveate.io.files import check_format, file_error, read_text, write_atomic
+from foveate.io.files import check_format, content_digest, file_error, read_text, write_atomic
 from foveate.io.records import T, from_table, to_table
 
 VERSION = 1
@@ -47,7 +46,7 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
     header = {name: table.pop(name) for name in ("format", "version", "digest") if name in table}
     if header:
         check_format(path, header, cls.__name__.lower(), VERSION)
-    instance, content = from_table(cls, table, str(path)), _digest(table)
+    instance, content = from_table(cls, table, str(path)), content_digest(table)[:16]
     if header.get("digest", content) != content:
         hint = "if you changed it yourself, delete its line 'digest = ..'"
         raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
@@ -85,12 +84,7 @@ def _comment(text: str) -> list[str]:
 
 def digest(instance: Any) -> str:
     """Digest of the content of `instance` in 16 hex digits, the same in every process. Raises as `to_table`."""
-    return _digest(to_table(instance))
-
-
-def _digest(table: dict[str, Any]) -> str:
-    canonical = json.dumps(table, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(canonical.encode()).hexdigest()[:16]
+    return content_digest(to_table(instance))[:16]
 
 
 def _toml_lines(table: dict[str, Any], path: str) -> Iterator[str]:

@@ -60,8 +60,8 @@ class SceneSettings:
         require(min(drift, default=-1) >= 0, "drift_m_s", drift, "expected >= 0 per axis")
         for name, numbers in (("centre_m", self.centre_m), ("drift_m_s", drift)):
             require(len(numbers) == len(half_side), name, numbers, "expected one number per axis, as half_side_m has")
-        is_area = min(half_side) + self.half_side_per_target_m > 0
-        require(not self.birth_and_death or is_area, "half_side_m", half_side, "expected > 0 with birth_and_death")
+        has_extent = min(half_side) + self.half_side_per_target_m > 0
+        require(not self.birth_and_death or has_extent, "half_side_m", half_side, "expected > 0 with birth_and_death")
 
     def horizon(self, targets: int) -> int:
         """Steps of an episode with this number of targets."""
@@ -134,7 +134,7 @@ def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> lis
         raise InputError(f"{where}: expected a list of at least one scene")
     scenes = [_scene(row, f"{where}[{i}]", space, settings) for i, row in enumerate(rows)]
     if twice := [name for name, count in Counter(scene.id for scene in scenes).items() if count > 1]:
-        raise InputError(f"{where}: id {twice[0]!r} is given twice: expected one scene an id")
+        raise InputError(f"{where}: id {twice[0]!r} is given twice: expected one scene per id")
     return scenes
 
 
