@@ -71,7 +71,7 @@ def test_lines_stand_at_the_means():
     figures._panel(axes, DOUBLING, found, styles)
     drawn = {(line.get_color(), line.get_linestyle()): line for line in axes.lines}
     net = [one for one in found if one.method == "net"]
-    color, _, line = styles["net"]
+    color, line = styles["net"]["color"], styles["net"]["linestyle"]
     expected = [(one.value, one.mean) for one in net]
     np.testing.assert_allclose(np.asarray(drawn[color, line].get_xydata(), float), expected)
     segments = axes.collections[0].get_segments()

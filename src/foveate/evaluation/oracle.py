@@ -148,12 +148,12 @@ def _solve(problem: Problem, futures: Future, settings: PlanSettings, keys) -> F
 
 def _cropped(futures: Future, rows: np.ndarray, targets: int, steps: int) -> Future:
     """The futures of these episodes without padding."""
-    return replace(
-        jax.tree.map(lambda x: x[rows], futures),
-        state=futures.state[rows, :steps, :targets],
-        information=futures.information[rows, :targets],
-        present=futures.present[rows, :targets],
-    )
+
+    def crop(future: Future) -> Future:
+        information, present = future.information[:targets], future.present[:targets]
+        return replace(future, state=future.state[:steps, :targets], information=information, present=present)
+
+    return jax.vmap(crop)(jax.tree.map(lambda x: x[rows], futures))
 
 
 def _solve_all(

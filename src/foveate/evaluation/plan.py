@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 from foveate.errors import InputError
@@ -12,6 +13,7 @@ from foveate.evaluation.report import Evaluation, evaluation, rows_by_protocol
 from foveate.evaluation.summary import summarise
 from foveate.experiment.experiment import Experiment
 from foveate.io.validate import check_count
+from foveate.models.problem import Problem
 from foveate.planning.receding import OpenLoop
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
 from foveate.scenario.scenes import Scene
@@ -62,6 +64,12 @@ class PlanOptions:
         given = {"starts": self.starts, "iterations": self.iterations}
         return replace(settings, **{name: value for name, value in given.items() if value is not None})
 
+    def planner(self, problem: Problem, protocol: str, policy: Policy | None, horizon: int) -> Policy:
+        """The planner for episodes of `horizon` steps; `policy` is the one to refine."""
+        if self.open_loop:
+            return OpenLoop(problem, self.settings(protocol), horizon)
+        return planner(problem, self.settings(protocol), horizon, self.window or WINDOW, policy)
+
 
 def evaluate_plans(
     experiment: Experiment,
@@ -84,15 +92,9 @@ def evaluate_plans(
     suite = prepare(problem, scene_settings, scenes, seed, episodes)
 
     def rows_of(protocol: str, on_progress: OnProgress) -> list[Row]:
-        settings = options.settings(protocol)
         if options.omniscient:
-            return oracle_rows(suite, protocol, on_progress, settings)
-
-        def policy_of(horizon: int) -> Policy:
-            if options.open_loop:
-                return OpenLoop(problem, settings, horizon)
-            return planner(problem, settings, horizon, options.window or WINDOW, policy)
-
+            return oracle_rows(suite, protocol, on_progress, options.settings(protocol))
+        policy_of = partial(options.planner, problem, protocol, policy)
         return planner_rows(suite, scene_settings, options.method, policy_of, protocol, on_progress)
 
     rows = rows_by_protocol("planning", len(scenes) * episodes, protocols, rows_of, quiet)

@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
+from matplotlib.rcsetup import cycler
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from foveate.errors import InputError
@@ -35,10 +37,10 @@ FAMILIES: dict[str, dict[str, Any]] = {
 }
 OTHER_FAMILY: dict[str, Any] = {"color": BLACK, "marker": "o"}
 
-STYLES = ((BLUE, "o", "-"), (VERMILLION, "^", "-"), (GREEN, "s", "-"), (PURPLE, "D", "-"), (ORANGE, "v", "-"))
-"""Colour, marker and line of the methods under changed factors, in their order."""
+STYLES = list(cycler(color=[BLUE, VERMILLION, GREEN, PURPLE, ORANGE], marker=list("o^sDv"), linestyle=["-"] * 5))
+"""Styles of the methods under changed factors, in their order."""
 
-DASHED = (BLACK, "", "--")
+DASHED: dict[str, Any] = {"color": BLACK, "marker": "", "linestyle": "--"}
 
 
 def pareto_figure(overall: Sequence[Overall], path: Path) -> None:
@@ -79,13 +81,8 @@ def pareto_front(overall: Sequence[Overall]) -> list[Overall]:
 
 def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     front = pareto_front(overall)
-    axes.step(
-        [1e3 * method.step_time_s for method in front],
-        [method.mean for method in front],
-        where="post",
-        color=GREY,
-        lw=1.2,
-    )
+    times_ms = [1e3 * method.step_time_s for method in front]
+    axes.step(times_ms, [method.mean for method in front], where="post", color=GREY, lw=1.2)
     for method in overall:
         style = FAMILIES.get(method.family, OTHER_FAMILY)
         axes.plot(1e3 * method.step_time_s, method.mean, ms=6, mec="white", mew=0.6, zorder=5, **style)
@@ -94,9 +91,10 @@ def _pareto_panel(axes: Axes, overall: Sequence[Overall]) -> None:
     low, high = axes.get_ylim()
     log_axis(axes, (1.0,), right=4.0)
     for method, height in zip(overall, _spread_labels(overall, 0.036 * (high - low)), strict=True):
+        point, shift = (1e3 * method.step_time_s, method.mean), (height - method.mean) / (high - low) * PANEL_POINTS
         label = axes.annotate(
-            method.method, (1e3 * method.step_time_s, method.mean), (6, (height - method.mean) / (high - low) * PANEL_POINTS),
-            textcoords="offset points", fontsize=8, va="center", zorder=4, path_effects=[HALO],
+            method.method, point, (6, shift), textcoords="offset points", fontsize=8, va="center", zorder=4,
+            path_effects=[HALO],
         )  # fmt: skip
         label.set_in_layout(False)
 
@@ -134,17 +132,14 @@ def robustness_figure(
         axes.remove()
     for row in panels:
         row[0].set_ylabel(label, fontsize=9)
-    entries = []
-    for name in names:
-        color, marker, line = styles[name]
-        entries.append(Line2D([], [], color=color, marker=marker, ls=line, lw=1.6, ms=5, label=name))
+    entries: list[Artist] = [Line2D([], [], lw=1.6, ms=5, label=name, **styles[name]) for name in names]
     entries.append(Line2D([], [], color=GREY, ls=":", lw=1.4, label="lower bound"))
     entries.append(Patch(facecolor=PALE, label="as in training"))
     figure.legend(handles=entries, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
     save(figure, path)
 
 
-def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapping[str, tuple[str, str, str]]) -> None:
+def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapping[str, dict[str, Any]]) -> None:
     values = np.array(factor.values)
     # Evenly spaced values have a linear axis, geometric ones a logarithmic axis: ticks are evenly spaced on both.
     is_even = np.allclose(np.diff(values, 2), 0.0)
@@ -155,10 +150,9 @@ def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapp
     band = (low - 0.12 * gap, high + 0.12 * gap) if is_even else (low / gap**0.12, high * gap**0.12)
     axes.axvspan(*band, color=PALE, lw=0, zorder=0)
     for method, ours in group_by(verdicts, lambda verdict: verdict.method).items():
-        color, marker, line = styles[method]
         x, mean = [verdict.value for verdict in ours], np.array([verdict.mean for verdict in ours])
         bars = None if method == ORACLE else np.abs(np.array([verdict.ci95 for verdict in ours]).T - mean)
-        axes.errorbar(x, mean, bars, color=color, marker=marker, ls=line, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2)
+        axes.errorbar(x, mean, bars, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2, **styles[method])
     lower_bounds = {verdict.value: verdict.floor for verdict in verdicts}
     axes.plot(list(lower_bounds), list(lower_bounds.values()), color=GREY, ls=":", lw=1.4)
     axes.xaxis.set_major_locator(FixedLocator(list(factor.values)))

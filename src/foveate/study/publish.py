@@ -77,10 +77,7 @@ class _Page:
         yield "pareto.png", "Score against the time of a decision"
         if self.results.trained:
             curves = {
-                name: (
-                    group[0].experiment.training.select,
-                    [read_validations(training.run / METRICS) for training in group],
-                )
+                name: (group[0].experiment.training.select, [read_validations(each.run / METRICS) for each in group])
                 for name, group in group_by(self.results.trained, lambda training: training.name).items()
             }
             learning_curves(curves, out / "learning.png")
@@ -145,13 +142,8 @@ class _Page:
             "training_seeds": list(study.seeds),
             "world": digest(study.experiment),
             "trainings": [
-                {
-                    "name": training.name,
-                    "seed": training.seed,
-                    "experiment": digest(training.experiment),
-                    **asdict(training.outcome),
-                }
-                for training in self.results.trained
+                {"name": each.name, "seed": each.seed, "experiment": digest(each.experiment), **asdict(each.outcome)}
+                for each in self.results.trained
             ],
         }
 
