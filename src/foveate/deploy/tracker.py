@@ -89,9 +89,7 @@ class Tracker:
         `known_inputs` are xi (m_y,) by id, 0 by default. Raises InputError for one of another length, or not finite.
         """
         k, inputs, zero = self.step % len(self._tau), known_inputs or {}, np.zeros(self._B.shape[2])
-        xi = [
-            _checked(f"known input of target {target!r}", inputs.get(target, zero), zero.shape) for target in self.ids
-        ]
+        xi = [_checked(f"known input of target {name!r}", inputs.get(name, zero), zero.shape) for name in self.ids]
         self._known_input = np.reshape(xi, (len(self.ids), len(zero)))
         self.unseen_s = self.unseen_s + self._tau[k]
         # An age is a sum of many tau: rounding must not drop a target early.
@@ -129,7 +127,8 @@ class Tracker:
         new = tuple(target for target in finite if target not in row_of)
         for target in new:
             self._begin(target, *self._one_point(pose, measured[target]))
-        rejected = tuple(target for target in measured if target not in {*updated, *jumped, *new})
+        used = {*updated, *jumped, *new}
+        rejected = tuple(target for target in measured if target not in used)
         self.rejected.update(rejected)
         if self._sensor.uses_missed_detections:
             for i in (row for target, row in row_of.items() if target not in measured):
