@@ -88,9 +88,8 @@ def serve(source: EpisodeSource, port: int, say: Callable[[str], None] = print) 
         player = Player(server, source)
         player.tick(0.0)
         say(f"http://{HOST}:{server.get_port()}: ctrl-C ends it")
-        past = time.monotonic()
+        time_s = time.monotonic()
         while True:
             time.sleep(1 / FRAME_RATE_HZ)
-            now = time.monotonic()
-            player.tick(now - past)
-            past = now
+            past, time_s = time_s, time.monotonic()
+            player.tick(time_s - past)
