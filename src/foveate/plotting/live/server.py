@@ -35,7 +35,7 @@ def _server(port: int) -> Iterator[Any]:
         import viser
     except ImportError as error:
         raise InputError(f"viewing needs viser ({error}): pip install 'foveate[view]'") from error
-    taken = InputError(f"--port {port}: expected a port that is free and allowed: try {port + 1}")
+    taken = InputError(f"--port {port}: is in use, or needs privileges: choose another, say {port + 1}")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
