@@ -1,11 +1,11 @@
-"""The Kalman filter of `models/` once more, in numpy and float64, for robots: all targets of a step at once.
+"""Kalman filter for robots, in numpy and float64: all targets of a step at once.
 
 The equations are those of `models.belief`, `models.gate` and `Sensor.covariance`, with covariances in place of
-information matrices; `tests/deploy/test_kalman.py` holds the two to 1e-9 of each other. Why there are two, measured on
-two CPU cores with 8 detections a step: JAX compiles again whenever the number of targets outgrows the padding, which
-takes 1 s (positions in the plane) to 9 s (positions and velocities in space), in the middle of a loop of 10 ms. Its
-update then takes 39 us in the plane and 110 to 130 us in space; this one takes 58 and 63 us, with nothing to compile.
-And a robot's JAX works in float32 unless told otherwise, which loses digits of covariances over long runs.
+information matrices; `tests/deploy/test_kalman.py` holds the two to 1e-9 of each other. Reasons for a second filter,
+measured on two CPU cores with 8 detections a step: JAX compiles again whenever the number of targets exceeds the
+padding, which interrupts a loop of 10 ms for 1 s (positions in the plane) to 9 s (positions and velocities in space).
+Its update takes 39 us in the plane and 110 to 130 us in space; this one takes 58 and 63 us, without compilation. And
+JAX on a robot works in float32 by default, which loses digits of covariances over long runs.
 """
 
 import equinox as eqx
@@ -41,7 +41,7 @@ def measurement_noise(
     pose: Float[np.ndarray, "..."],
     point_world: Float[np.ndarray, "n d"],
 ) -> Float[np.ndarray, "n n_z n_z"]:
-    """V in the world frame [m^2] for targets at these positions [m]: turned with the agent, growing with the range."""
+    """V in the world frame [m^2] for targets at these positions [m]: rotated with the agent, growing with the range."""
     if sensor.frame == "body":
         V = rotation(pose) @ V @ rotation(pose).T
     distance = np.linalg.norm(point_world - positions(pose), axis=-1)
@@ -56,24 +56,20 @@ def update(
     V: Float[np.ndarray, "n n_z n_z"],
     gate_limit: float,
 ) -> tuple[Means, Covariances, Bool[np.ndarray, " n"]]:
-    """Correct every target by its measurement z = H y + N(0, V).
+    """Correct every target by its measurement z = H y + N(0, V), unless the gate rejects it.
 
-    Returns:
-        Means and covariances, unchanged where the measurement is rejected, and a mask of those that were accepted:
-        their squared Mahalanobis distance (z - H p)^T S^-1 (z - H p), S = H P H^T + V, is at most `gate_limit`.
+    The mask returned marks accepted measurements: their squared Mahalanobis distance (z - H p)^T S^-1 (z - H p),
+    S = H P H^T + V, is at most `gate_limit`.
     """
     S, innovation = H @ covariance @ H.T + V, measurement - mean @ H.T
     distance = np.einsum("ni,ni->n", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
     accepted = distance <= gate_limit
     K = np.linalg.solve(S, H @ covariance).swapaxes(-1, -2)
-    # Joseph's form: a sum of semidefinite matrices however K is rounded, where (I - K H) P drifts off symmetry.
+    # Joseph's form: a sum of semidefinite matrices however K is rounded; (I - K H) P would lose its symmetry.
     rest = np.eye(mean.shape[1]) - K @ H
     corrected = rest @ covariance @ rest.swapaxes(-1, -2) + K @ V @ K.swapaxes(-1, -2)
-    return (
-        np.where(accepted[:, None], mean + np.einsum("nij,nj->ni", K, innovation), mean),
-        np.where(accepted[:, None, None], corrected, covariance),
-        accepted,
-    )
+    mean = np.where(accepted[:, None], mean + np.einsum("nij,nj->ni", K, innovation), mean)
+    return mean, np.where(accepted[:, None, None], corrected, covariance), accepted
 
 
 def one_point(
@@ -97,7 +93,7 @@ def given_missed_detection(
 ) -> tuple[Float[np.ndarray, " n_y"], Float[np.ndarray, "n_y n_y"]]:
     """Mean and covariance of a target that was not in view from this pose.
 
-    This one is `models.missed_detection` itself, for one target, so that one compilation serves any number of them.
+    This calls `models.missed_detection` for one target, so that one compilation serves any number of them.
     """
     arrays = (mean, np.linalg.inv(covariance), Z, rotation(pose), positions(pose))
     outside = _given_missed_detection(view, *(jnp.asarray(x, float) for x in arrays))

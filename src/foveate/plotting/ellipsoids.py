@@ -82,6 +82,13 @@ def meridians(
     return np.concatenate(lines)
 
 
+def lifted(points: Float[np.ndarray, "*m d"], height: float = 0.0) -> Float[np.ndarray, "*m 3"]:
+    """Lift planar points to a height [m]; spatial ones are returned unchanged."""
+    if points.shape[-1] == 3:
+        return points
+    return np.concatenate([points, np.full((*points.shape[:-1], 1), height)], axis=-1)
+
+
 def faces(outline: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "_ 3"]]:
     """Faces of an outline: its closed lines, and the quadrilaterals between two loops that edges connect."""
     loops = [line[:-1] for line in outline if len(line) > 3 and is_closed(line)]

@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection, Poly3DCollectio
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from foveate.geometry.numpy_poses import placed, positions
-from foveate.plotting.ellipsoids import contours, faces, half_widths, meridians
+from foveate.plotting.ellipsoids import contours, faces, half_widths, lifted, meridians
 from foveate.plotting.episode_data import EpisodeData, snapshot
 from foveate.plotting.scene import AGENT, BLACK, DASHED, GREY, SEEN, SKY, UNSEEN, PlanarScene, broken
 
@@ -105,10 +105,8 @@ class SpatialScene:
     def __init__(
         self, axes: SpaceAxes, data: EpisodeData, box: np.ndarray, trail: int | None = None, scale: float = 1.0
     ) -> None:
-        self.axes, self.data, self.arc, self.trail = axes, data, data.arc(), trail
-        self.size = 0.045 * float((box[1] - box[0]).max())
-        self.floor = float(box[0, 2])
-        self.faces = faces(data.outline)
+        self.axes, self.data, self.arc, self.trail, self.faces = axes, data, data.arc(), trail, faces(data.outline)
+        self.size, self.floor = 0.045 * float((box[1] - box[0]).max()), float(box[0, 2])
         self.swing = 0.0 if trail is None else SWING
         _furnish(axes, box)
         _aim(axes, box, self.swing)
@@ -181,7 +179,7 @@ class SpatialScene:
             axis.labelpad = 1.2 * size - 15.8
 
     def _on_floor(self, points: np.ndarray) -> np.ndarray:
-        return np.concatenate([points[..., :2], np.full((*points.shape[:-1], 1), self.floor)], axis=-1)
+        return lifted(points[..., :2], self.floor)
 
 
 def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
@@ -201,9 +199,9 @@ def _furnish(axes: SpaceAxes, box: np.ndarray) -> None:
         axis.set_major_locator(MultipleLocator(ticks[1] - ticks[0]))
     x, y = (np.array(axis.get_majorticklocs()) for axis in (axes.xaxis, axes.yaxis))
     x, y = x[(x > low[0]) & (x < high[0])], y[(y > low[1]) & (y < high[1])]
-    segments = [[(t, low[1], low[2]), (t, high[1], low[2])] for t in (low[0], *x, high[0])]
-    segments += [[(low[0], t, low[2]), (high[0], t, low[2])] for t in (low[1], *y, high[1])]
-    axes.add_collection3d(Line3DCollection(segments, colors=GRID, linewidths=0.6, zorder=1.2), autolim=False)
+    lines = [[(t, low[1], low[2]), (t, high[1], low[2])] for t in (low[0], *x, high[0])]
+    lines += [[(low[0], t, low[2]), (high[0], t, low[2])] for t in (low[1], *y, high[1])]
+    axes.add_collection3d(Line3DCollection(lines, colors=GRID, linewidths=0.6, zorder=1.2), autolim=False)
     floor = [(box[i, 0], box[j, 1], low[2]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
     axes.add_collection3d(Poly3DCollection([floor], facecolors=FLOOR, zorder=0.9), autolim=False)
 
@@ -212,13 +210,12 @@ def _aim(axes: SpaceAxes, box: np.ndarray, swing: float) -> None:
     """Keep the box in sight from every position of the camera."""
     # The ends and the middle of the swing suffice: between them no corner reaches notably farther.
     corners = np.array([(x, y, z, 1.0) for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
-    flat = []
+    projected = []
     for turn in (-swing / 2, 0.0, swing / 2):
         axes.view_init(ELEVATION, AZIMUTH + turn)
         x, y, _, w = axes.get_proj() @ corners.T
-        flat.append(np.stack([x / w, y / w], axis=1))
-    points = np.concatenate(flat)
-    axes.shown = np.stack([points.min(axis=0), points.max(axis=0)])
+        projected.append(np.stack([x / w, y / w], axis=1))
+    axes.shown = np.stack([np.min(projected, axis=(0, 1)), np.max(projected, axis=(0, 1))])
 
 
 def scene_class(data: EpisodeData) -> type[PlanarScene] | type[SpatialScene]:

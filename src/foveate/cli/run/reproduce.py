@@ -14,7 +14,7 @@ from foveate.study.methods import Method
 from foveate.study.publish import heading, publish
 from foveate.study.run import jobs, reproduce
 from foveate.study.study import Study, paper_study, true_view_study
-from foveate.study.tables import differences, consistency, scores
+from foveate.study.tables import consistency, differences, scores
 
 INTERVALS_WIDTH = 175
 """Terminal columns from which tables show intervals."""

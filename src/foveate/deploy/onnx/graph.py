@@ -50,7 +50,7 @@ class Graph:
         return x
 
     def softmax_mean(self, targets: str, scores: str) -> str:
-        """Mean (b, h, e) of the present targets (b, n, e), weighted by the softmax of scores (b, h, n); 0 without any."""
+        """Mean (b, h, e) of the present targets (b, n, e), weighted by softmax of scores (b, h, n); 0 without any."""
         present = self("Unsqueeze", "present", [1])
         weights = self("Softmax", self("Where", present, scores, LOWEST), axis=-1)
         # If all are absent, all have the lowest score, and the softmax is uniform instead of 0.
@@ -79,10 +79,8 @@ def body_inputs(graph: Graph, space: Space, state_size: int) -> BodyInputs:
     else:
         pose = numbers = graph("Reshape", "pose", [-1, 16])
         position_entries = [3, 7, 11]
-        basis = np.zeros((16, 3, 3))
-        for i, j in np.ndindex(3, 3):
-            basis[4 * i + j, i, j] = 1.0
-    # R and diag(R, R, ..) are linear in `numbers`, the position in the pose's: each is a product with a constant matrix.
+        basis = np.eye(16).reshape(16, 4, 4)[:, :3, :3]
+    # R and diag(R, R, ..) are linear in `numbers`, the position in the pose: each is a product with a constant matrix.
     state_basis = np.stack([np.kron(np.eye(order), part).ravel() for part in basis])
     state_rotation = graph("Reshape", graph("MatMul", numbers, state_basis), [-1, 1, state_size, state_size])
     rotation = graph("Reshape", graph("MatMul", numbers, basis.reshape(len(basis), -1)), [-1, d, d])

@@ -43,14 +43,12 @@ class SceneChart:
     """Chart of the curves behind the scene, labelled with time, score and targets seen."""
 
     def __init__(self, scene: Any, data: EpisodeData, box: Float[np.ndarray, "2 3"]) -> None:
-        self._data, self._curves = data, curves(data)
-        low, high = axis_range(self._curves)
-        width = float(np.ptp(box[:, 0]))
-        height = 0.35 * width
+        self._data, values, width = data, curves(data), float(np.ptp(box[:, 0]))
+        (low, high), height = axis_range(values), 0.35 * width
         # Behind the far side of the box, on the floor of a planar scene or above a spatial one, nothing hides it.
         self._corner = corner = np.array([box[0, 0], box[1, 1] + 0.25 * np.ptp(box[:, 1]), box[1, 2]])
-        self._across, self._up = width * (data.times_s / (data.times_s[-1] or 1.0)), height
-        self._share = (self._curves - low) / (high - low)
+        self._across = width * (data.times_s / (data.times_s[-1] or 1.0))
+        self._up = height * ((values - low) / (high - low))
         frame = corner + np.array([[0, 0, height], [0, 0, 0], [width, 0, 0]])
         add_line(scene, "/chart/frame", GREY, 1.5, segments(frame))
         text: dict[str, Any] = {"font_size_mode": "scene", "font_scene_height": 0.045 * width}
@@ -64,15 +62,15 @@ class SceneChart:
             below = corner + np.array([0, 0, -(0.02 + 0.045 * i) * width])
             scene.add_label(f"/chart/text/{i}", line, position=below, **text)
         self._each, self._mean = add_line(scene, "/chart/each", GREY, 1.5), add_line(scene, "/chart/mean", BLACK, 3.0)
-        top = corner + np.array([0, 0, 1.12 * height])
-        self._label = scene.add_label("/chart/facts", "", position=top, anchor="bottom-left", **text)
+        text |= {"position": corner + np.array([0, 0, 1.12 * height]), "anchor": "bottom-left"}
+        self._label = scene.add_label("/chart/facts", "", **text)
 
     def show(self, moment: int) -> None:
         """Draw the curves up to a moment of the episode."""
         k = moment // SUBSTEPS
-        points = np.zeros((k, self._share.shape[1], 3)) + self._corner
+        points = np.zeros((k, self._up.shape[1], 3)) + self._corner
         points[..., 0] += self._across[1 : k + 1, None]
-        points[..., 2] += self._up * self._share[:k]
+        points[..., 2] += self._up[:k]
         lines = [segments(points[:, i]) for i in range(points.shape[1])] if k > 1 else [np.zeros((0, 2, 3))]
         set_segments(self._mean, lines[:1])
         set_segments(self._each, lines[1:])

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from foveate.geometry.numpy_poses import rotation
-from foveate.plotting.ellipsoids import CIRCLE, faces, is_closed, principal_axes
+from foveate.plotting.ellipsoids import CIRCLE, faces, is_closed, lifted, principal_axes
 from foveate.plotting.episode_data import TRAIL_STEPS, EpisodeData, snapshot
 from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN
 from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
@@ -29,13 +29,6 @@ Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
 def color(name: str) -> tuple[int, ...]:
     """RGB of a matplotlib colour, from 0 to 255."""
     return tuple(round(255 * part) for part in to_rgb(name))
-
-
-def lifted(points: Float[np.ndarray, "*m d"], height: float = 0.0) -> Float[np.ndarray, "*m 3"]:
-    """Lift planar points to a height [m]; spatial ones are returned unchanged."""
-    if points.shape[-1] == 3:
-        return points
-    return np.concatenate([points, np.full((*points.shape[:-1], 1), height)], axis=-1)
 
 
 def segments(line: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 2 3"]:

@@ -35,7 +35,7 @@ def _server(port: int) -> Iterator[Any]:
         import viser
     except ImportError as error:
         raise InputError(f"viewing needs viser ({error}): pip install 'foveate[view]'") from error
-    taken = InputError(f"--port {port}: expected a port that is free and allowed: try {port + 1}")
+    taken = InputError(f"--port {port}: is in use, or needs privileges: choose another, say {port + 1}")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -88,9 +88,8 @@ def serve(source: EpisodeSource, port: int, say: Callable[[str], None] = print) 
         player = Player(server, source)
         player.tick(0.0)
         say(f"http://{HOST}:{server.get_port()}: ctrl-C ends it")
-        past = time.monotonic()
+        time_s = time.monotonic()
         while True:
             time.sleep(1 / FRAME_RATE_HZ)
-            now = time.monotonic()
-            player.tick(now - past)
-            past = now
+            past, time_s = time_s, time.monotonic()
+            player.tick(time_s - past)
