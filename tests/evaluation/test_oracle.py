@@ -9,7 +9,7 @@ import pytest
 
 from foveate.evaluation import oracle
 from foveate.evaluation.bounds import unseen_scores
-from foveate.evaluation.evaluate import prepare, rows_of, simulate
+from foveate.evaluation.evaluate import episode_rows, evaluate_traces, prepare
 from foveate.evaluation.oracle import omniscient, omniscient_rows
 from foveate.evaluation.summary import summarise
 from foveate.io.npz import load_arrays, save_arrays
@@ -58,7 +58,9 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
     assert rows[3].score is None
     np.testing.assert_allclose([row.score for row in rows[:3]], plans.score[:3], rtol=1e-12)
     trace = oracle._drive(PROBLEM, jnp.asarray(plans.action), suite.episodes, TRUE, oracle.policy_keys(suite))
-    driven = rows_of(suite, "omniscient", "true", jax.tree.map(np.asarray, trace), [row.step_time_s for row in rows])
+    driven = episode_rows(
+        suite, "omniscient", "true", jax.tree.map(np.asarray, trace), [row.step_time_s for row in rows]
+    )
     for row, real in zip(rows, driven, strict=True):
         # What the filter that really runs earns on the way: under `true` the very score that was planned.
         if row.targets:
@@ -69,8 +71,8 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
 
 
 def test_a_policy_does_not_beat_the_omniscient(suite, plans):
-    trace = simulate(suite, heuristic("nearest", PROBLEM, 2.0), TRUE, chunk=4)
-    scores = [row.score for row in rows_of(suite, "nearest", "true", trace, [0.0] * 4)[:3]]
+    trace = evaluate_traces(suite, heuristic("nearest", PROBLEM, 2.0), TRUE, chunk=4)
+    scores = [row.score for row in episode_rows(suite, "nearest", "true", trace, [0.0] * 4)[:3]]
     assert (plans.score[:3] >= np.array(scores) - 1e-9).all()
     assert (plans.score[:3] > unseen_scores(PROBLEM, [5, 3, 5])).all()
 
