@@ -120,8 +120,8 @@ def rewards(
     where that at the horizon is what counts).
     """
     scores = step_scores(visible.astype(log_det.dtype) if objective == "seen" else log_det, episode)
-    steps = episode.horizon.astype(scores.dtype)
-    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / steps
+    share = scores / episode.horizon.astype(scores.dtype)
+    earned = jnp.diff(scores, prepend=first) if objective == "terminal" else share
     return jnp.where(jnp.arange(len(scores)) < episode.horizon, earned, 0.0)
 
 
