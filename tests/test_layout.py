@@ -144,7 +144,7 @@ def _long_functions(node: ast.AST, depth: int) -> list[str]:
     return found
 
 
-def test_imports_lead_down() -> None:
+def test_imports_point_to_lower_folders() -> None:
     assert violations(SOURCE, ORDER) == []
 
 
