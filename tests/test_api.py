@@ -64,7 +64,7 @@ def untrained(experiment: foveate.Experiment) -> foveate.TrainedPolicy:
     return foveate.TrainedPolicy(name="untrained", experiment=experiment, network=network, facts={})
 
 
-def test_nothing_heavy_is_imported_before_it_is_asked_for() -> None:
+def test_heavy_modules_are_imported_on_demand() -> None:
     code = "import sys, foveate\nprint(dir(foveate), 'jax' in sys.modules, 'numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-2:] == ["False", "False"]
@@ -85,7 +85,7 @@ def test_type_checkers_and_programs_see_the_same_names() -> None:
 
 
 @pytest.mark.parametrize("experiment", [PLANE, SPACE], ids=["plane", "space"])
-def test_decides_as_its_onnx_file_on_what_a_tracker_knows(experiment: foveate.Experiment, tmp_path: Path) -> None:
+def test_decides_as_its_onnx_file_on_tracker_beliefs(experiment: foveate.Experiment, tmp_path: Path) -> None:
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
     policy, d = untrained(experiment), experiment.scenario.dimension
     policy.export(tmp_path / "policy.onnx")
@@ -165,7 +165,7 @@ def test_a_belief_that_is_none_is_rejected(arguments: dict, complaint: str) -> N
         foveate.Belief(**arguments)
 
 
-def test_a_belief_or_pose_of_another_world_is_rejected() -> None:
+def test_a_belief_or_pose_of_another_scenario_is_rejected() -> None:
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=r"mean has shape \(1, 3\): expected \(1, 2\)"):
         policy(foveate.Belief(np.ones((1, 3)), covariance=np.eye(3)), [0, 0, 0])
@@ -216,7 +216,7 @@ def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) 
         foveate.train("paper", seed=-1)
 
 
-def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+def test_saved_policies_are_loaded_unchanged(tmp_path: Path) -> None:
     policy = replace(untrained(PLANE), facts={"seed": 3})
     policy.save(tmp_path / "kept")
     kept = foveate.load(tmp_path / "kept")
@@ -362,7 +362,7 @@ def test_memory_and_gradients_of_long_episodes_are_bounded_where_asked() -> None
         ({"scenes": "nowhere.json"}, "nowhere.json: there is no such file"),
     ],
 )
-def test_an_evaluation_that_cannot_be_is_rejected(options: dict, complaint: str) -> None:
+def test_an_invalid_evaluation_is_rejected(options: dict, complaint: str) -> None:
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=complaint):
         foveate.evaluate(policy, **{"scenes": [SCENE], **options})
@@ -370,7 +370,7 @@ def test_an_evaluation_that_cannot_be_is_rejected(options: dict, complaint: str)
         foveate.evaluate(policy.network, [SCENE])
 
 
-def test_a_policy_of_another_kind_of_world_is_rejected() -> None:
+def test_a_policy_of_another_space_is_rejected() -> None:
     with pytest.raises(ValueError, match="scenario: has 3 dimensions, states of 6 numbers and 4 of a command"):
         foveate.evaluate(untrained(PLANE), scenario=QUADROTOR)
     belief = foveate.Belief([[1e39, 0.0]], covariance=np.eye(2))
@@ -395,7 +395,9 @@ def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view() -> N
         adjusted(PLANE, "sarsa")
 
 
-def test_a_notebook_is_told_at_each_tenth(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_notebook_shows_progress_at_each_tenth(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     for quiet in (False, True):
         with Bar("training", 40, "epochs", quiet) as bar:

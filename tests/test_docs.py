@@ -137,12 +137,12 @@ def exported() -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_have_targets(page: Path) -> None:
     assert broken_links(page) == []
 
 
 @pytest.mark.parametrize("page", USERS_PAGES, ids=[str(page.relative_to(ROOT)) for page in USERS_PAGES])
-def test_pages_import_and_name_only_what_is_public(page: Path) -> None:
+def test_pages_import_and_name_only_public_names(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     blocks = [code for _, kind, code in FENCE.findall(text) if kind == "python"]
     assert [name for code in blocks for name in deep_imports(code)] == []
@@ -151,7 +151,7 @@ def test_pages_import_and_name_only_what_is_public(page: Path) -> None:
 
 
 @pytest.mark.parametrize("file", sorted(ROOT.glob("examples/*.py")), ids=lambda file: file.name)
-def test_examples_import_only_what_is_public(file: Path) -> None:
+def test_examples_import_only_public_names(file: Path) -> None:
     assert deep_imports(file.read_text(encoding="utf-8")) == []
 
 

@@ -47,7 +47,7 @@ def driven(recording, **options):
     return drive(ready, "still", heuristic("still", ready.problem, 100.0))
 
 
-def test_outliers_of_100_sigma_in_a_recording_are_refused_and_counted(tmp_path):
+def test_outliers_of_100_sigma_in_a_recording_are_rejected_and_counted(tmp_path):
     sigma = 0.1 * np.sqrt(2)
     rows = [(0.5 * k, name, 3.0 + 100 * sigma * (k in wild), 1.0) for k in range(41) for name, wild in TRACKS.items()]
     row, trace = driven(recorded(tmp_path / "r.csv", rows))

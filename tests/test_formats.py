@@ -54,7 +54,7 @@ def test_a_run_of_an_earlier_version(name):
 
 
 @pytest.mark.slow
-def test_a_run_of_before_a_setting_was_there_goes_on_twice(tmp_path):
+def test_a_run_older_than_a_setting_resumes_twice(tmp_path):
     """Its config.toml keeps the digest that it had, and what is saved later goes by that, too."""
     run, experiment = tmp_path / "run", RUNS["policy-gradient"]
 
@@ -126,7 +126,7 @@ def test_a_cut_file_is_rejected(copied, name):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_flipped_byte_is_refused_or_means_the_same(copied, name):
+def test_a_flipped_byte_is_rejected_or_harmless(copied, name):
     """In spaces and comments a flip may change nothing; anywhere else it is noticed."""
     path, read = copied / name, READERS[name]
     whole, meant, rng = path.read_bytes(), repr(read(path)), np.random.default_rng(1)
@@ -142,7 +142,7 @@ def test_a_flipped_byte_is_refused_or_means_the_same(copied, name):
     assert noticed > 30
 
 
-def test_what_was_changed_by_hand_can_say_so(copied):
+def test_an_edited_file_is_read_without_its_digest(copied):
     """Without its digest a file is as one that somebody wrote."""
     path = copied / "preset-paper.toml"
     text = path.read_text().replace("epochs = 1000", "epochs = 2000")
@@ -173,7 +173,7 @@ CODE = {"eval", "exec", "compile", "__import__"}
 LOADERS = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib", "yaml"}
 
 
-def test_nothing_that_is_read_can_be_code():
+def test_no_reader_executes_code():
     """No pickle, no eval, no import by a name from a file; but `--add FILE.py` runs that file, and says so."""
     for path in SOURCE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -76,7 +76,7 @@ def test_commands_stay_in_their_folder_and_off_the_network(tmp_path, monkeypatch
     assert [row["scene"] for row in rows] == list(NAMES), "names they are, all the same"
 
 
-def test_what_is_offline_is_noticed():
+def test_network_access_while_offline_is_an_error():
     import socket
 
     with pytest.raises(AssertionError, match=r"127\.0\.0\.1"), offline(), socket.socket() as one:

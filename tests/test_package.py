@@ -82,7 +82,7 @@ def files_of_the_package() -> list[Path]:
 
 
 @pytest.mark.slow
-def test_the_sdist_has_what_a_build_needs(built: Path) -> None:
+def test_the_sdist_has_all_files_of_a_build(built: Path) -> None:
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
@@ -108,7 +108,7 @@ def test_the_trained_presets_are_small_and_of_their_presets() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_trained_preset_scores_what_is_recorded_and_decides_as_the_simulation(preset: str) -> None:
+def test_a_trained_preset_has_its_recorded_score_and_decides_as_the_simulation(preset: str) -> None:
     """Every third decision of a scene, from the beliefs before it and the known inputs, as a user would ask for it."""
     script = runpy.run_path(str(ROOT / "experiments" / "trained_presets.py"))
     suite, trace = script["played"](preset)
@@ -150,7 +150,7 @@ def yaml_of(path: Path) -> Any:
     return yaml.YAML(typ="safe").load(path.read_text(encoding="utf-8"))
 
 
-def test_the_continuous_integration_asks_for_what_is_there() -> None:
+def test_the_continuous_integration_runs_existing_targets() -> None:
     """Targets of the Makefile, every Python of the metadata, and torch in one job alone."""
     jobs = yaml_of(ROOT / ".github" / "workflows" / "ci.yml")["jobs"]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -181,7 +181,7 @@ def test_hooks_before_a_commit_are_local() -> None:
 @pytest.mark.parametrize(
     "form", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda form: form.stem
 )
-def test_forms_of_issues_have_what_is_required_of_them(form: Path) -> None:
+def test_issue_forms_have_their_required_fields(form: Path) -> None:
     found = yaml_of(form)
     assert found["name"]
     assert found["description"]

@@ -108,7 +108,7 @@ def test_links_to_code_lead_to_its_line_on_a_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("target", ["gone.md", "../gone.py", "../../outside.md"])
-def test_a_link_to_nothing_is_named(tmp_path: Path, target: str) -> None:
+def test_a_broken_link_is_named(tmp_path: Path, target: str) -> None:
     (tmp_path / "outside.md").write_text("", encoding="utf-8")
     root = laid_out(tmp_path / "in", f"[this]({target})\n")
     with pytest.raises(ValueError, match=rf"docs/page.md: {target}: expected a file of the repository"):

@@ -5,7 +5,7 @@ import pytest
 from foveate.bench import processes
 
 
-def test_the_second_of_two_trainings_finds_what_the_first_compiled(monkeypatch):
+def test_the_second_of_two_trainings_uses_the_compilation_cache(monkeypatch):
     calls, seconds = [], iter((30.0, 10.0))
     monkeypatch.setattr(
         processes, "process_time", lambda *words, cache=None: calls.append((words, cache)) or next(seconds)

@@ -39,7 +39,7 @@ def test_ratios_do_not_change_with_the_machines_speed():
     assert Metric(key="a", value=7.0, unit="1", better="lower").ratio({}) == 7.0
 
 
-def test_calls_are_made_in_turn_after_a_warm_up_and_waited_for():
+def test_calls_alternate_after_a_warm_up_and_are_awaited():
     made = []
     seconds = in_turn([lambda: made.append("a"), lambda: made.append("b")], 2)
     assert made == ["a", "b", "a", "b", "a", "b"]
@@ -84,7 +84,7 @@ def test_references_are_rates(monkeypatch, clock):
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
-def test_peak_memory_is_what_the_kernel_counts():
+def test_peak_memory_equals_that_of_the_kernel():
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     kernel_mib = int(fields["VmHWM"].split()[0]) / 1024
     assert peak_memory_mib() == pytest.approx(kernel_mib, rel=0.05)

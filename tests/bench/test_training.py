@@ -44,7 +44,7 @@ def test_times_are_those_of_one_step(tiny, monkeypatch, clock):
         assert metrics[name] == pytest.approx(0.1 / limit)
 
 
-def test_a_training_compiles_nothing_after_its_first_validation(tiny, monkeypatch):
+def test_a_training_does_not_compile_after_its_first_validation(tiny, monkeypatch):
     """With a learner whose program has a size that changes, the count shows it."""
     metrics = {metric.key: metric.value for metric in compilation_counts(tiny)}
     assert metrics["train_late_compilations"] == 0

@@ -37,7 +37,7 @@ def test_every_workload_is_measured_once_with_its_repeats():
     assert keys((60,), False) == [quick[0], *quick[2:], "whole_training"]
 
 
-def test_titles_say_what_is_measured():
+def test_titles_name_the_measurements():
     titles = [title for title, _ in workloads.measurements((60, 1024), quick=False)]
     assert titles[:2] == ["training step, 60 episodes", "training step, 1024 episodes"]
     assert len(set(titles)) == len(titles) == 10

@@ -38,7 +38,7 @@ def machine(monkeypatch):
     jax.config.update("jax_enable_compilation_cache", kept)
 
 
-def test_reports_compares_and_ends_with_one_where_it_is_worse(machine, tmp_path, capsys):
+def test_a_regression_is_reported_with_exit_status_one(machine, tmp_path, capsys):
     first = tmp_path / "first.json"
     assert main(["bench", "--quick", "--json", str(first)]) == 0
     report = json.loads(first.read_text())
@@ -58,14 +58,14 @@ def test_reports_compares_and_ends_with_one_where_it_is_worse(machine, tmp_path,
     assert "rate_per_s by a factor of 2.00" in capsys.readouterr().out
 
 
-def test_what_is_better_and_what_is_next_to_nothing_is_no_regression():
+def test_improvements_and_tiny_changes_are_no_regression():
     metrics = [metric("a", 1.0), metric("b", 1.0, "higher"), metric("tiny", 0.01)]
     before = {"a": 3.0, "b": 0.2, "tiny": 1e-9}
     assert regressions(metrics, {"a": 1.0, "b": 1.0, "tiny": 1.0}, before, 0.5) == {}
     assert regressions(metrics, {"a": 1.0, "b": 1.0, "tiny": 1.0}, {"new": 1.0}, 0.5) == {}
 
 
-def test_wrong_input_is_told_in_one_line(machine, tmp_path, capsys):
+def test_wrong_input_is_rejected_in_one_line(machine, tmp_path, capsys):
     broken = tmp_path / "broken.json"
     broken.write_text('{"metrics": [{"key": "a"}]}')
     for options, words in (

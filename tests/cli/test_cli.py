@@ -79,7 +79,7 @@ def test_help_answers_at_once() -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("shapes (2,) and (3,)"), OverflowError("too large"), KeyError("x")])
-def test_a_bug_is_shown_as_one(
+def test_a_bug_shows_its_traceback(
     error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Any exception but InputError and OSError: exit status 70, and a traceback with --debug only."""
@@ -116,7 +116,7 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
     assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
 
-def test_run_folder_holds_what_it_promises(run: Path) -> None:
+def test_run_folder_holds_its_documented_files(run: Path) -> None:
     names = {path.name for path in run.iterdir()}
     assert {"config.toml", "metrics.jsonl", "checkpoint"} <= names
     assert any(name.startswith("events.out.tfevents") for name in names)
@@ -181,7 +181,7 @@ def test_plan_writes_rows_that_keep_the_contract(
         assert out.read_bytes() == first
 
 
-def test_plan_refuses_what_does_not_fit(
+def test_plan_rejects_scenes_that_do_not_fit(
     run: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = ("plan", "--scenes", str(scenes))
@@ -249,7 +249,9 @@ def test_wrong_input_is_one_line(
 
 
 @pytest.mark.slow
-def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_in_space_is_fitted_trained_and_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A recording with z, its fit, a training of one epoch, its scenes, its replay and pictures of both."""
     recording, config, run = tmp_path / "birds.csv", tmp_path / "birds.toml", tmp_path / "run"
     rows = [f"{0.5 * k},a,{-5 + 0.5 * k},2,{1 + 0.1 * k}\n{0.5 * k},b,1,{4 - 0.4 * k},2\n" for k in range(24)]
@@ -275,7 +277,7 @@ def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "planar" in failure(capsys, "evaluate", str(run), "--scenes", "table1")
 
 
-def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_names_unsupported_input(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     gif = str(tmp_path / "x.gif")
     assert ".gif, .mp4, .png" in failure(capsys, "render", str(run), "--out", str(tmp_path / "x.txt"))
     assert "no such scene" in failure(capsys, "render", str(run), "--out", gif, "--scene", "nobody")

@@ -152,7 +152,7 @@ def _check_data(data: dict) -> None:
     assert [(one["name"], one["seed"], one["epochs"]) for one in data["trainings"]] == [("paper", 0, 2)]
 
 
-def test_interrupted_it_says_how_to_continue(
+def test_an_interrupt_prints_how_to_continue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_):
@@ -178,7 +178,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.slow
-def test_evaluate_says_how_close_it_gets(tmp_path: Path) -> None:
+def test_evaluate_prints_normalised_scores(tmp_path: Path) -> None:
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
     row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
     scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))

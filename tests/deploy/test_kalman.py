@@ -12,8 +12,9 @@ from foveate.deploy.belief import Belief as NumpyBelief
 from foveate.deploy.belief import predicted
 from foveate.deploy.tracker import Tracker
 from foveate.models.belief import Belief, correct_mean, predict_information, update_information
-from foveate.models.gate import GATE, RESTART_AFTER, gate_limit, one_point, squared_distance
+from foveate.models.gate import RESTART_AFTER, gate_limit, one_point, squared_distance
 from foveate.models.missed_detection import given_missed_detection
+from foveate.names import GATE
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings

@@ -75,7 +75,7 @@ def test_equals_filterpy():
             np.testing.assert_allclose(tracker.covariance[i], one.P, rtol=1e-9, atol=1e-9)
 
 
-def test_a_first_detection_is_an_update_of_knowing_nothing():
+def test_a_first_detection_is_the_update_of_a_flat_prior():
     """The limit of filterpy's filter whose position is unknown to a hundred kilometres."""
     problem, rng = SPACE.problem(), np.random.default_rng(1)
     pose, z = pose_of(rng), np.array([1.0, -2.0, 3.0])
@@ -105,7 +105,7 @@ def test_each_step_has_its_own_matrices():
         np.testing.assert_allclose(tracker.mean[0], mean, rtol=1e-10, atol=1e-12)
 
 
-def test_what_is_no_pose_and_no_covariance_is_refused_and_changes_nothing():
+def test_invalid_poses_and_covariances_are_rejected_without_effect():
     tracker = Tracker(Scenario())
     tracker.add("a", [1.0, 2.0])
     for pose in ([np.nan, 0, 0], [0.0, 0.0], np.eye(3)):
@@ -118,7 +118,7 @@ def test_what_is_no_pose_and_no_covariance_is_refused_and_changes_nothing():
     assert (tracker.ids, tracker.step, list(tracker.unseen_s)) == (("a",), 0, [0.0])
 
 
-def test_looking_in_vain_is_what_the_simulation_makes_of_it():
+def test_missed_detections_equal_those_of_the_simulation():
     """A view over half of a belief that is not detected: as sampled, what is outside; a detected one is updated."""
     problem = Scenario(sensor=SensorSettings(missed_detections="used")).problem()
     pose, rng = np.array([1.0, -2.0, 0.7]), np.random.default_rng(5)
@@ -139,7 +139,7 @@ def test_looking_in_vain_is_what_the_simulation_makes_of_it():
     np.testing.assert_allclose(np.linalg.inv(tracker.covariance[1]), np.linalg.inv(covariance[1]) + 25 * np.eye(2))
 
 
-def test_the_gate_refuses_outliers_and_few_honest_detections():
+def test_the_gate_rejects_outliers_and_few_valid_detections():
     problem, rng, count = Scenario().problem(), np.random.default_rng(3), 20_000
     tracker = Tracker(problem, gate=0.99)
     # One by one, `add` would copy all of them each time.
@@ -157,7 +157,7 @@ def test_the_gate_refuses_outliers_and_few_honest_detections():
 
 
 @pytest.mark.parametrize("wild", [100 * np.sqrt(2.04), np.nan, np.inf])
-def test_an_outlier_changes_nothing_and_is_counted(wild):
+def test_an_outlier_is_ignored_and_counted(wild):
     """100 sigma of the innovation, by the default gate; a second one counts on; the age goes on too."""
     tracker = Tracker(Scenario().problem())
     tracker.add("a", [0.0, 0.0])

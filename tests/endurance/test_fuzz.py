@@ -44,7 +44,7 @@ def rejected_or_taken(reader, path, text):
 
 
 @pytest.mark.slow
-def test_two_thousand_inputs():
+def test_two_thousand_fuzzed_inputs_are_accepted_or_rejected():
     counts, broken = fuzz(2000, 5, report=lambda line: None)
     assert broken == []
     assert sum(counts.values()) == 2000
@@ -55,21 +55,21 @@ def test_two_thousand_inputs():
 
 @settings(max_examples=50, deadline=None)
 @given(rows=rows)
-def test_recordings_of_anything(tmp_path_factory, read_by, rows):
+def test_arbitrary_recordings_are_read_or_rejected(tmp_path_factory, read_by, rows):
     text = "time_s,track_id,x_m,y_m\n" + "\n".join(map(",".join, rows))
     rejected_or_taken(read_by["recording"], tmp_path_factory.getbasetemp() / "any.csv", text)
 
 
 @settings(max_examples=50, deadline=None)
 @given(scenes=st.lists(scene, max_size=3) | values)
-def test_scenes_of_anything(tmp_path_factory, read_by, scenes):
+def test_arbitrary_scenes_are_read_or_rejected(tmp_path_factory, read_by, scenes):
     text = json.dumps({"format": "foveate-scenes", "version": 1, "scenes": scenes})
     rejected_or_taken(read_by["scenes"], tmp_path_factory.getbasetemp() / "any.json", text)
 
 
 @settings(max_examples=50, deadline=None)
 @given(text=st.lists(st.tuples(st.sampled_from(["scenario", "tau_s", "[policy]\nkind"]), values), max_size=3))
-def test_configurations_of_anything(tmp_path_factory, read_by, text):
+def test_arbitrary_configurations_are_read_or_rejected(tmp_path_factory, read_by, text):
     lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in text)
     rejected_or_taken(read_by["toml"], tmp_path_factory.getbasetemp() / "any.toml", lines)
 
@@ -77,7 +77,7 @@ def test_configurations_of_anything(tmp_path_factory, read_by, text):
 @pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(command=st.sampled_from([*COMMANDS]), words=st.lists(st.text(), max_size=3))
-def test_arguments_of_anything(tmp_path_factory, command, words):
+def test_arbitrary_arguments_are_accepted_or_rejected(tmp_path_factory, command, words):
     folder = tmp_path_factory.getbasetemp() / "words"
     folder.mkdir(exist_ok=True)
     furnish(folder)
@@ -118,7 +118,7 @@ LARGE = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LARGE)
-def test_large_files_are_done_soon(tmp_path, read_by, name):
+def test_large_files_are_read_within_seconds(tmp_path, read_by, name):
     kind, text = LARGE[name]
     assert len(text) <= MEBIBYTE + 100
     began = time.process_time()

@@ -12,7 +12,7 @@ TESTS = Path(__file__).parents[1]
 
 
 @pytest.mark.slow
-def test_a_minute_of_the_loop():
+def test_a_minute_of_the_loop_stays_within_its_bounds():
     """In a process of its own, as `make soak` does it: here every annotation would be checked 6000 times."""
     command = [sys.executable, "-m", "endurance.soak", "--seconds", "60", "--tabs", "0", "--seed", "1"]
     done = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
@@ -26,7 +26,7 @@ def test_a_minute_of_the_loop():
 
 
 @pytest.mark.slow
-def test_the_live_view_forgets_who_has_left(tmp_path):
+def test_the_live_view_releases_disconnected_clients(tmp_path):
     """Twenty connections, opened as a page does; `make soak` uses tabs of a real browser."""
     viser = pytest.importorskip("viser", reason="needs the extra view")
     from helpers.browser import wait_for

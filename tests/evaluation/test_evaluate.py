@@ -64,7 +64,7 @@ def test_rows(rows, tmp_path):
     }
 
 
-def test_what_was_really_seen_is_the_same_under_both_protocols(rows):
+def test_detected_targets_are_the_same_under_both_protocols(rows):
     """The world does not know how the filter is run; one who stands still sees the same."""
     _, found = rows
     half = len(found) // 2
@@ -106,7 +106,7 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
     assert not low < 2 * nees[6].mean() < high
 
 
-def test_every_method_meets_the_same_chance(always_seen):
+def test_every_method_gets_the_same_noise(always_seen):
     """Where all is seen, the belief depends on the chance alone: the same for one who stands still."""
     suite, trace = always_seen
     other = evaluate_traces(suite, heuristic("still", suite.problem, 2.0), TRUE)
@@ -114,7 +114,7 @@ def test_every_method_meets_the_same_chance(always_seen):
     np.testing.assert_allclose(other.mean, trace.mean, atol=1e-12)
 
 
-def test_chance_of_a_method_depends_on_seed_scene_and_episode_alone():
+def test_keys_of_a_method_depend_on_seed_scene_and_episode_alone():
     """Contract: all randomness of an episode is drawn from (seed, scene id, episode); also that of `random`."""
     problem, settings = EVERYWHERE.problem(), EVERYWHERE.scenes
     policy = heuristic("random", problem, 2.0)

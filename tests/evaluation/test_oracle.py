@@ -77,14 +77,14 @@ def test_a_policy_does_not_beat_the_omniscient(suite, plans):
     assert (plans.score[:3] > unseen_scores(PROBLEM, [5, 3, 5])).all()
 
 
-def test_kept_plans_come_back(suite, plans, cache, monkeypatch):
+def test_cached_plans_are_loaded(suite, plans, cache, monkeypatch):
     monkeypatch.setattr(oracle, "_solve_all", None)
     again = omniscient(suite, "true", FEW, cache)
     for name in ("action", "score", "seconds"):
         np.testing.assert_array_equal(getattr(again, name), getattr(plans, name))
 
 
-def test_anything_else_is_planned_again(suite, plans, cache, monkeypatch):
+def test_any_other_input_is_planned_again(suite, plans, cache, monkeypatch):
     called = []
 
     def solve_all(suite, futures, settings, report):
@@ -112,7 +112,7 @@ def test_anything_else_is_planned_again(suite, plans, cache, monkeypatch):
     assert len(list(cache.iterdir())) == len(others) + 1
 
 
-def test_a_damaged_file_is_made_again(suite, plans, tmp_path, monkeypatch):
+def test_a_damaged_file_is_computed_again(suite, plans, tmp_path, monkeypatch):
     called = []
 
     def solve_all(*_):

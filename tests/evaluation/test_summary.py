@@ -43,7 +43,7 @@ def test_summary_statistics():
     assert asdict(cell)["ci95"] == cell.ci95
 
 
-def test_seen_and_never_seen_apart():
+def test_targets_seen_and_never_seen_are_separate():
     """Every target counts once in NEES, every episode once in RMSE; a group that is empty has no numbers."""
     one = replace(row("a", 1.0, 2.0, 0.0), seen_fraction=1.0, nees_seen=1.0, nees_unseen=None, rmse_seen_m=0.1)
     other = replace(row("b", 1.0, 2.0, 0.0), seen_fraction=0.25, nees_seen=4.0, nees_unseen=3.0, rmse_seen_m=0.3)

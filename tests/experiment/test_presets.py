@@ -35,7 +35,7 @@ def test_a_learner_brings_a_network_that_it_can_train():
         with_learner(tried, PPO["ppo"])
 
 
-def test_the_policy_gradient_refuses_a_network_of_modes(tmp_path):
+def test_the_policy_gradient_rejects_a_network_of_modes(tmp_path):
     with pytest.raises(ValueError, match="actor-critic"):
         train(Experiment(policy=PointerSettings(kind="pointer")), tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -50,6 +50,6 @@ def test_two_experiments_at_once_are_rejected(tmp_path, capsys):
     assert "--preset and --resume" in capsys.readouterr().err
 
 
-def test_presets_that_learn_by_trying_have_a_network_with_modes():
+def test_actor_critic_presets_have_a_network_with_modes():
     for experiment in PRESETS.values():
         assert isinstance(experiment.training, ActorCriticSettings) == isinstance(experiment.policy, PointerSettings)

@@ -56,7 +56,7 @@ def test_oracle_of_polyhedra_solves_the_least_distance_programme(name):
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name.startswith("cone")])
-def test_oracle_of_cones_finds_nothing_nearer_at_another_azimuth(name):
+def test_oracle_of_cones_is_nearest_over_all_azimuths(name):
     points, expected = answered(name)[0][::40], answered(name)[1].distance[::40]
     found = cone_distance_by_azimuth(points, **CASES[name].oracle.keywords)
     np.testing.assert_allclose(found, np.abs(expected), rtol=1e-12, atol=1e-9 * CASES[name].size)

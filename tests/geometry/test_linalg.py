@@ -71,7 +71,7 @@ def test_inverse_and_log_det(size, dtype):
 
 @SIZES
 @pytest.mark.parametrize("condition", ["1e6", "1e10"])
-def test_badly_conditioned(size, condition):
+def test_ill_conditioned_matrices(size, condition):
     """A backward stable method errs, relative to the norm, by about the condition times the unit roundoff."""
     given, inverse, log_det = (x[GROUPS[condition]] for x in results(size, np.float64))
     expected, bound = np.linalg.inv(given), 20 * size * float(condition) * 2.3e-16

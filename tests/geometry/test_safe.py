@@ -18,7 +18,7 @@ def test_length_has_a_unit_derivative_at_every_scale(scale):
         np.testing.assert_allclose(jax.jit(mode(length, ARGUMENTS))(*vector), [2 / 7, -3 / 7, 6 / 7], rtol=2e-7)
 
 
-def test_length_of_nothing_has_no_derivative():
+def test_length_of_zero_has_zero_derivative():
     np.testing.assert_array_equal(length(jnp.zeros(4), jnp.zeros(4)), 0)
     for mode in (jax.grad, jax.jacfwd, jax.hessian):
         assert not np.any(jax.jit(mode(length, (0, 1)))(0.0, 0.0))

@@ -179,7 +179,7 @@ def test_wrong_numbers_are_named(name, numbers, problem):
         SPACES[name].from_numbers(numbers)
 
 
-def test_a_number_beyond_float32_is_refused_where_float32_is_the_default():
+def test_a_number_beyond_float32_is_rejected_where_float32_is_the_default():
     with jax.enable_x64(False):
         pose = Planar().from_numbers([1.0, 2.0, 3.0])
         assert pose.dtype == jnp.float32

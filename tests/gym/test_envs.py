@@ -37,7 +37,7 @@ def actions(rng, *shape):
 
 
 @pytest.mark.slow
-def test_gymnasium_finds_nothing_wrong():
+def test_gymnasium_accepts_the_environment():
     """Warnings are errors here; `check_env` makes one with each way to render, too."""
     check_env(make())
     check_env(make(observation="flat", horizon="terminated"), skip_render_check=True)
@@ -124,7 +124,7 @@ def test_seeds_and_options():
     same(seen["targets"][0], seen["targets"][2])
 
 
-def test_what_is_seen_is_the_belief_in_the_agents_frame():
+def test_observations_are_the_belief_in_the_body_frame():
     """By hand: the predicted mean in the body frame in units of the view's depth, asinh of the turned information."""
     env = make()
     seen, _ = env.reset(seed=1, options={"targets": 8})
@@ -187,7 +187,7 @@ def test_unknown_scenario_is_rejected():
         Task(TaskSettings("nobody"), 1, autoreset=False)
 
 
-def test_wrong_use_is_named():
+def test_wrong_use_is_named_in_one_line():
     for options, complaint in [
         ({"protocol": "soft"}, "protocol = 'soft': expected 'surrogate' or 'true'"),
         ({"horizon": "never"}, "horizon = 'never'"),

@@ -13,7 +13,7 @@ from foveate.io import files
 from foveate.io.files import read_bytes, read_json, write_atomic, write_json
 
 
-def test_write_replaces_the_old_content_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+def test_write_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     write_atomic(path, b"old")
     write_atomic(path, b"new")
@@ -64,7 +64,7 @@ def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_return(
     assert seen == ["file", "replace", "folder"]
 
 
-def test_readers_never_see_a_part(tmp_path: Path) -> None:
+def test_readers_do_not_see_a_partial_file(tmp_path: Path) -> None:
     path = tmp_path / "result"
     contents = {letter * 100_000 for letter in (b"a", b"b")}
     write_atomic(path, b"a" * 100_000)
@@ -86,7 +86,7 @@ def test_write_follows_a_link_and_leaves_devices_alone(tmp_path: Path) -> None:
     assert (tmp_path / "null").is_char_device()
 
 
-def test_write_refuses_a_folder_and_a_missing_folder(tmp_path: Path) -> None:
+def test_write_rejects_a_folder_and_a_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is a folder; name a file"):
         write_atomic(tmp_path, b"")
     with pytest.raises(ValueError, match=r"there is no folder .*absent"):
@@ -102,14 +102,14 @@ json_values = st.recursive(
 
 @settings(deadline=None, max_examples=50)
 @given(value=json_values)
-def test_json_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, value: object) -> None:
+def test_json_round_trip(tmp_path_factory: pytest.TempPathFactory, value: object) -> None:
     path = tmp_path_factory.getbasetemp() / "value.json"
     write_json(path, value)
     assert read_json(path, "value") == value
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_json_refuses_numbers_that_are_not_finite(tmp_path: Path, number: float) -> None:
+def test_json_rejects_numbers_that_are_not_finite(tmp_path: Path, number: float) -> None:
     path = tmp_path / "rows.json"
     with pytest.raises(ValueError, match=r"rows\.json: cannot be written: .*use null"):
         write_json(path, {"rows": [{"score": number}]})
@@ -132,7 +132,7 @@ def test_json_refuses_numbers_that_are_not_finite(tmp_path: Path, number: float)
         (b"[" * 100_000, "is not a usable scenes file"),
     ],
 )
-def test_json_error_says_what_is_wrong_and_what_was_wanted(tmp_path: Path, content: bytes, problem: str) -> None:
+def test_json_error_names_the_fault_and_the_expected(tmp_path: Path, content: bytes, problem: str) -> None:
     path = tmp_path / "scenes.json"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=rf"scenes\.json: .*{problem}") as caught:

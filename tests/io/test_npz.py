@@ -60,9 +60,7 @@ def rejection(path: Path, kind: str = "policy", newest: int = 2) -> str:
         max_size=3,
     )
 )
-def test_arrays_and_header_come_back_as_they_were(
-    tmp_path_factory: pytest.TempPathFactory, arrays: dict[str, np.ndarray]
-) -> None:
+def test_arrays_and_header_round_trip(tmp_path_factory: pytest.TempPathFactory, arrays: dict[str, np.ndarray]) -> None:
     path = tmp_path_factory.getbasetemp() / "any.npz"
     save_arrays(path, arrays, HEADER)
     header, loaded = load_arrays(path, "policy", 2)
@@ -90,7 +88,7 @@ def test_same_content_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mask", [0xFF, 0x01, 0x08])
-def test_a_changed_byte_is_seen_or_changes_nothing(tmp_path: Path, mask: int) -> None:
+def test_a_changed_byte_is_detected_or_harmless(tmp_path: Path, mask: int) -> None:
     path = saved(tmp_path)
     whole = path.read_bytes()
     errors = []
@@ -107,7 +105,7 @@ def test_a_changed_byte_is_seen_or_changes_nothing(tmp_path: Path, mask: int) ->
     assert len(errors) > 0.8 * len(whole)  # the rest are dates and hints that nobody reads
 
 
-def test_a_cut_file_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
+def test_a_truncated_file_is_rejected_at_any_length(tmp_path: Path) -> None:
     path = saved(tmp_path)
     whole = path.read_bytes()
     for length in range(2, len(whole)):
@@ -187,7 +185,7 @@ def test_pickles_are_never_executed(tmp_path: Path) -> None:
     assert not mark.exists()
 
 
-def test_archives_that_unpack_to_more_than_they_are_are_rejected(tmp_path: Path) -> None:
+def test_archives_that_unpack_beyond_their_stated_size_are_rejected(tmp_path: Path) -> None:
     zeros = io.BytesIO()
     np.save(zeros, np.zeros(100_000))
     path = with_members(tmp_path / "bomb.npz", {"a.npy": zeros.getvalue()}, zipfile.ZIP_DEFLATED)
@@ -208,7 +206,7 @@ def test_archives_that_unpack_to_more_than_they_are_are_rejected(tmp_path: Path)
         ({}, {"score": float("nan")}, "the header cannot be written"),
     ],
 )
-def test_saving_refuses_what_would_not_come_back(
+def test_saving_rejects_arrays_that_do_not_round_trip(
     tmp_path: Path, arrays: dict[str, np.ndarray], header: dict[str, Any], problem: str
 ) -> None:
     with pytest.raises(ValueError, match=problem):
@@ -216,7 +214,7 @@ def test_saving_refuses_what_would_not_come_back(
     assert not (tmp_path / "a.npz").exists()
 
 
-def test_bfloat16_is_refused_because_npy_forgets_it(tmp_path: Path) -> None:
+def test_bfloat16_is_rejected_because_npy_loses_it(tmp_path: Path) -> None:
     import ml_dtypes
 
     with pytest.raises(ValueError, match="'a' has the type bfloat16; expected a plain number"):

@@ -245,12 +245,12 @@ def test_a_refusal_of_the_whole_names_the_source_alone() -> None:
         (Agent(view=Triangle(depth=math.inf)), r"Agent: view\.depth = inf: expected a finite number"),
     ],
 )
-def test_writing_refuses_what_could_not_be_read(instance: Any, problem: str) -> None:
+def test_writing_rejects_unreadable_values(instance: Any, problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         dumps_toml(instance)
 
 
-def test_none_is_written_only_where_leaving_out_means_none() -> None:
+def test_none_is_written_only_where_it_is_the_default() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Limited:
         top: float | None = 1.0

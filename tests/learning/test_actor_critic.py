@@ -91,7 +91,7 @@ def test_advantages_are_sums_of_temporal_differences(gae_lambda):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["surrogate", "true"])
-def test_what_is_earned_is_what_the_rollout_scores(protocol):
+def test_the_return_equals_the_score_of_the_rollout(protocol):
     """With hardly any noise a try is the rollout of the policy, when all modes but one are out of reach."""
     problem, scenes = TINY.scenario.problem(), TINY.scenario.scenes
     policy = NETWORK.policy(problem, jax.random.key(4))
@@ -148,7 +148,7 @@ MIXED = replace(TINY.scenario.scenes, steps=None)
 
 
 @pytest.mark.slow
-def test_a_batch_is_made_of_episodes_of_both_protocols_and_what_is_after_their_end_counts_nothing():
+def test_a_batch_mixes_both_protocols_and_masks_steps_after_the_end():
     """The mean earned, the steps that count and the scale of advantages, from the tries one by one."""
     problem = TINY.scenario.problem()
     chosen = replace(settings(), protocols=("surrogate", "true"), episodes=12)

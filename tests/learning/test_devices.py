@@ -77,7 +77,7 @@ def alone(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("alone")
-def test_eight_devices_learn_what_one_does_bit_for_bit(tmp_path):
+def test_eight_devices_equal_one_bit_for_bit(tmp_path):
     eight = "--xla_force_host_platform_device_count=8"
     with started(TINY, tmp_path / "eight", flags=eight) as process:
         precisions = []
@@ -116,7 +116,7 @@ print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(p
 
 
 @pytest.mark.slow
-def test_two_devices_of_this_process_learn_what_one_does_bit_for_bit(tmp_path, monkeypatch):
+def test_two_devices_of_this_process_equal_one_bit_for_bit(tmp_path, monkeypatch):
     train(TINY, tmp_path / "two")
     assert sharded(TINY.training.episodes, 2).devices == 2
     monkeypatch.setattr(jax, "device_count", lambda: 1)
@@ -142,7 +142,7 @@ def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
     assert one == sixteen != ""
 
 
-def test_a_batch_is_shared_out_evenly(monkeypatch):
+def test_a_batch_is_sharded_evenly(monkeypatch):
     """On cores by micro-batches of one size, whatever there are of the former; on other devices by these."""
     monkeypatch.setattr(jax, "device_count", lambda: 8)
     assert sharded(60, 32) == (2, 1, 30)
@@ -166,7 +166,7 @@ def test_a_quota_of_cores_counts(monkeypatch, tmp_path):
         assert devices.cores() == expected
 
 
-def test_what_cannot_be_joined_is_named(monkeypatch):
+def test_an_unreachable_cluster_is_named(monkeypatch):
     """Whoever does not answer, or is no address; and with auto the cluster is asked, with no numbers."""
     asked = []
     monkeypatch.setattr(devices.jax.config, "update", lambda *setting: asked.append(setting))
@@ -200,7 +200,7 @@ def test_only_the_first_process_writes_the_run_folder(monkeypatch, tmp_path):
         assert not folder.exists()
 
 
-def test_processes_agree_on_what_the_first_says(monkeypatch):
+def test_processes_use_the_values_of_the_first(monkeypatch):
     numbers = (0.1, -3.0, float("inf"))
     assert devices.from_first_process(*numbers) == numbers
     monkeypatch.setattr(jax, "process_count", lambda: 2)
@@ -208,7 +208,7 @@ def test_processes_agree_on_what_the_first_says(monkeypatch):
     assert devices.from_first_process(*numbers) == numbers, "bit for bit, in float32 too"
 
 
-def test_who_fails_on_several_devices_is_lost_only_among_several_processes(monkeypatch):
+def test_a_device_failure_is_a_lost_process_only_among_several_processes(monkeypatch):
     def fails(*arguments):
         raise jax.errors.JaxRuntimeError("UNAVAILABLE: gone\nand much more")
 
@@ -220,7 +220,7 @@ def test_who_fails_on_several_devices_is_lost_only_among_several_processes(monke
         run(np.zeros(2))
 
 
-def test_cores_are_devices_where_nobody_has_said_otherwise():
+def test_cores_are_devices_by_default():
     """In processes of their own: JAX looks once."""
     code = "from foveate.learning.devices import use_cores; use_cores(); import jax; print(jax.device_count())"
     for places, expected in (
@@ -241,7 +241,7 @@ def free_port() -> int:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("alone")
-def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
+def test_two_processes_equal_one_until_one_is_lost(tmp_path):
     """The first writes; when the second is killed it says so, and its last checkpoint is whole."""
     endless = replace(TINY, training=replace(TINY.training, epochs=1_000_000))
     place = ["--coordinator", f"127.0.0.1:{free_port()}", "--processes", "2", "--process-id"]
@@ -280,6 +280,6 @@ def test_two_processes_learn_what_one_does_until_one_is_lost(tmp_path):
         (["--window", "0", "--epochs", "1"], "window = 0: expected >= 1"),
     ],
 )
-def test_what_cannot_be_is_rejected(options, words, capsys, tmp_path):
+def test_invalid_device_options_are_rejected(options, words, capsys, tmp_path):
     assert main(["train", "--out", str(tmp_path / "run"), *options]) == 2
     assert words in capsys.readouterr().err

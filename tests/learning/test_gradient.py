@@ -25,7 +25,7 @@ KEY = jax.random.key(0)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("micro_batch", [1, 4, 7, 11, 100])
-def test_however_a_batch_is_cut_up_mean_and_gradient_are_the_same(micro_batch):
+def test_micro_batches_of_any_size_give_the_same_mean_and_gradient(micro_batch):
     """Of (a x - y)^2, by hand: the derivative in a is the mean of 2 x (a x - y)."""
     x, y = np.random.default_rng(0).normal(size=(2, 11))
     value, gradient = mean_and_gradient(lambda a, xy: (a * xy[0] - xy[1]) ** 2, jnp.array(0.7), (x, y), micro_batch)
@@ -81,7 +81,7 @@ def windowed(objective_, window):
     return np.asarray(gradient)
 
 
-def test_a_window_follows_a_decision_to_its_end_and_no_further(plain):
+def test_a_window_differentiates_a_decision_up_to_its_end(plain):
     """Weights of step k act on scores from k on; with windows of 2, on those up to the end of k's own window."""
     ends = [1, 1, 3, 3, 4]
     expected = np.stack([plain[ends[k], k] for k in range(STEPS)])
@@ -91,11 +91,11 @@ def test_a_window_follows_a_decision_to_its_end_and_no_further(plain):
     assert not np.allclose(expected[0], plain[-1][0], rtol=1e-3), "further on it would be another one"
 
 
-def test_a_window_that_holds_all_changes_nothing(plain):
+def test_a_window_as_long_as_the_episode_is_exact(plain):
     np.testing.assert_allclose(windowed("terminal", STEPS), plain[-1], rtol=1e-9, atol=1e-12)
 
 
-def test_how_it_goes_back_is_checked():
+def test_differentiation_settings_are_checked():
     for name in ("micro_batch", "segment", "window"):
         with pytest.raises(ValueError, match=f"{name} = 0: expected >= 1"):
             TrainingSettings(**{name: 0})

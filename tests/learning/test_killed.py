@@ -203,7 +203,7 @@ def by_keyboard():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("by_keyboard")
-def test_an_interrupt_saves_and_says_how_to_go_on(alone, tmp_path, monkeypatch, capsys):
+def test_an_interrupt_saves_and_prints_how_to_resume(alone, tmp_path, monkeypatch, capsys):
     run, config, save = tmp_path / "run", tmp_path / "experiment.toml", RunFiles.save
     config.write_text(dumps_toml(MODEL))
 
@@ -235,7 +235,7 @@ def test_a_second_interrupt_stops_at_once(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, capsys):
+def test_a_full_disk_leaves_the_old_files(tmp_path, monkeypatch, capsys):
     """For real: no file may grow beyond what fits the first checks."""
     run, config, save = tmp_path / "run", tmp_path / "experiment.toml", RunFiles.save
     config.write_text(dumps_toml(MODEL))

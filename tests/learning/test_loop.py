@@ -57,7 +57,7 @@ def undisturbed(tmp_path_factory):
     return run, outcome, checks
 
 
-def test_learns_and_tells(undisturbed):
+def test_training_improves_the_score_and_reports_it(undisturbed):
     run, outcome, checks = undisturbed
     assert [(check.epoch, total) for check, total in checks] == [(10, 40), (20, 40), (30, 40), (40, 40)]
     assert outcome.epochs == 40
@@ -220,14 +220,14 @@ def test_a_collapse_is_noticed_and_undone(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_in_which_nothing_was_ever_good_can_still_be_loaded(monkeypatch, tmp_path):
+def test_a_run_without_improvement_can_be_loaded(monkeypatch, tmp_path):
     """Saturated from the first check to the last: there is something to look at all the same."""
     stubbed(monkeypatch, [(9.0, 0.0, 1.0, True)] * 4)
     train(TINY, tmp_path / "r", seed=3)
     assert load_run(tmp_path / "r")
 
 
-def test_an_existing_folder_is_refused_and_untouched(tmp_path):
+def test_an_existing_folder_is_rejected_and_untouched(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ValueError, match="exists already") as caught:
         train(TINY, tmp_path)

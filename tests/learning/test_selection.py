@@ -136,7 +136,7 @@ def test_the_first_policy_is_kept_even_if_saturated():
     assert (decision.is_best, decision.event, decision.stop_reason) == (True, "", None)
 
 
-def test_a_number_that_is_not_finite_stops_with_the_best():
+def test_a_number_that_is_not_finite_stops_training_at_the_best():
     decision = after(progress(), learner(math.nan, 30), 5.0, finite=False)
     assert facts(decision) == {**UNCHANGED, "learner": pytest.approx(0.1), "epoch": 10}
     assert (decision.is_best, decision.event) == (False, "not finite")

@@ -145,7 +145,7 @@ def test_the_printed_form_is_partial():
     assert np.linalg.norm(printed - whole) > 1e-3 * np.linalg.norm(whole)
 
 
-def test_what_it_is_not_stated_for():
+def test_unsupported_problems_are_rejected():
     problem, policy, episode = made("velocity, frustum")
     with pytest.raises(ValueError, match="lift a planar problem"):
         policy_gradient(Scenario().problem(), policy, episode)

@@ -38,7 +38,7 @@ def test_limit_is_the_quantile():
         gate_limit(1.0, 2)
 
 
-def test_one_point_is_an_update_of_knowing_nothing_of_the_position():
+def test_one_point_is_the_update_of_a_flat_prior_on_position():
     H, V, P_0 = np.eye(2, 4), np.array([[0.04, 0.01], [0.01, 0.09]]), np.diag([2.0, 3.0, 0.5, 0.7])
     z = np.array([1.0, -2.0])
     found = one_point(*map(jnp.asarray, (np.linalg.inv(P_0), z, H, V)))
@@ -69,7 +69,7 @@ def drive(steps, wild, gate=LIMIT):
     return jax.tree.map(np.asarray, run())
 
 
-def test_an_outlier_of_100_sigma_is_refused_and_moves_nothing():
+def test_an_outlier_of_100_sigma_is_rejected_without_effect():
     clean, disturbed, open_to_all = drive(12, {}), drive(12, {6: 100.0}), drive(12, {6: 100.0}, gate=None)
     assert disturbed.rejections[:, 0].tolist() == [0] * 6 + [1] + [0] * 5
     assert disturbed.visible[:, 0].tolist() == [True] * 6 + [False] + [True] * 5
@@ -81,7 +81,7 @@ def test_an_outlier_of_100_sigma_is_refused_and_moves_nothing():
     np.testing.assert_array_equal(clean.mean, drive(12, {}, gate=None).mean, "an honest measurement is as it was")
 
 
-def test_a_target_that_has_really_jumped_begins_anew():
+def test_a_target_that_jumps_restarts_its_belief():
     jump = dict.fromkeys(range(6, 16), 100.0)
     trace = drive(16, jump)
     assert trace.rejections[6:12, 0].tolist() == [1, 2, 3, 4, 0, 0]

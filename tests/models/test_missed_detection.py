@@ -35,7 +35,7 @@ def test_points_stand_for_a_standard_normal(dimension):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.2, 0.1, 0.06])
-def test_what_is_left_is_honest_however_little_it_is(share):
+def test_the_remaining_belief_is_consistent_for_any_share(share):
     """Half-planes of 24 directions in view, but for a share of the belief: NEES (2 is honest) of a truth that is a
     truncated normal, with scipy's moments.
     """
@@ -51,7 +51,7 @@ def test_what_is_left_is_honest_however_little_it_is(share):
     assert 1.7 < min(found) <= max(found) < 2.4
 
 
-def test_a_belief_with_next_to_nothing_outside_stays_as_it_is():
+def test_a_belief_almost_entirely_in_view_is_unchanged():
     belief = gaussian([0.0, 0.0], np.eye(2))
     left = given_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < norm.isf(0.01))
     np.testing.assert_array_equal(left.information, belief.information)
@@ -69,7 +69,7 @@ def test_half_a_plane_in_view_leaves_a_truncated_normal(edge):
     assert abs(covariance[0, 1]) < 0.02
 
 
-def test_what_depends_on_the_position_moves_with_it():
+def test_states_correlated_with_the_position_move_along():
     """Position and velocity that hang together, a disc in view: as of 400,000 samples of which those outside stay."""
     rng = np.random.default_rng(0)
     root = rng.normal(size=(4, 4)) * [[1.0], [1.0], [0.5], [0.5]]
@@ -84,7 +84,7 @@ def test_what_depends_on_the_position_moves_with_it():
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_nothing_or_all_in_view_says_nothing(inside):
+def test_an_empty_or_full_view_gives_no_information(inside):
     """Nothing in view: nothing was to be expected. All of it: the belief was wrong altogether."""
     belief = gaussian([0.3, -2.0], np.diag([2.0, 1.0]))
     left = given_missed_detection(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
@@ -93,7 +93,7 @@ def test_nothing_or_all_in_view_says_nothing(inside):
 
 
 @pytest.mark.parametrize(("absence", "is_honest"), [(None, False), ("used", True)])
-def test_a_filter_that_uses_absence_is_honest_of_what_it_looks_for_in_vain(absence, is_honest):
+def test_a_filter_that_uses_missed_detections_is_consistent(absence, is_honest):
     """Targets anywhere about one who stands still; those count that were believed to be in view, and were not seen."""
     scenario = Scenario(
         sensor=SensorSettings(missed_detections=absence), scenes=SceneSettings(initial_error="consistent")

@@ -32,7 +32,7 @@ class Gentle(Policy):
         return 0.5 * jnp.tanh(observation.mean[0] - observation.pose[:2] + 0.1 * memory), memory + 1
 
 
-def test_without_ascent_refinement_does_what_the_policy_does():
+def test_refinement_without_ascent_equals_the_policy():
     suite = prepare(PROBLEM, PRESETS["paper"].scenario.scenes, [TWO], seed=3)
     refined = receding(replace(FEW, starts=1, iterations=0), Gentle())
     plain, same = (evaluate_traces(suite, policy, TRUE, chunk=1).action for policy in (Gentle(), refined))

@@ -71,7 +71,7 @@ def test_limits_hold_exactly_even_far_up_the_tanh(climb):
     assert np.isfinite(best.score)
 
 
-def test_the_best_on_the_way_is_kept(climb):
+def test_the_best_plan_of_the_ascent_is_kept(climb):
     worse, best, broken = (Plan(jnp.zeros((1, 2)) + i, jnp.array(v)) for i, v in enumerate((1.0, 2.0, np.nan)))
     assert float(better(worse, best).score) == float(better(best, worse).score) == 2.0
     assert float(better(best, broken).score) == 2.0

@@ -19,7 +19,7 @@ def test_best_range_is_the_deepest_point_ahead():
     np.testing.assert_array_equal(best_range(prism(PROBLEM.sensor.view)), best_range(PROBLEM.sensor.view))
 
 
-def test_tours_look_at_every_target():
+def test_tours_see_every_target():
     position = np.array([[3.0, 3.0], [-3.0, 2.0], [0.0, -4.0]])
     future = future_of(PROBLEM, [0, 0, 0], np.broadcast_to(position, (15, 3, 2)))
     raw = jax.jit(lambda f: tours(PROBLEM, f, 16, jax.random.key(0)))(future)

@@ -52,7 +52,7 @@ def test_figures_are_files_of_readme_width(tmp_path):
             assert picture.width == 1350
 
 
-def test_nothing_to_draw_is_rejected(tmp_path):
+def test_empty_input_is_rejected(tmp_path):
     with pytest.raises(ValueError, match="no learner"):
         learning_curves({}, tmp_path / "a.png")
     with pytest.raises(ValueError, match="no scene"):

@@ -59,7 +59,7 @@ def test_a_covariance_that_rounding_made_indefinite_has_a_region():
     assert lengths.min() < 1e-5
 
 
-def test_an_ellipse_is_where_chi_square_says_and_holds_95_percent():
+def test_an_ellipse_is_the_chi_square_contour_and_holds_95_percent():
     mean, covariance = beliefs(1, 2, seed=3)
     (border,) = ellipsoids.ellipses(mean, covariance)
     np.testing.assert_allclose(squared_distances(border, mean[0], covariance[0]), chi2.ppf(0.95, 2), rtol=1e-9)
@@ -72,7 +72,7 @@ def test_an_ellipse_is_where_chi_square_says_and_holds_95_percent():
     assert abs(Outline(border).contains_points(samples).mean() - 0.95) < 0.005
 
 
-def test_ellipsoids_are_where_chi_square_says():
+def test_ellipsoids_are_chi_square_contours():
     mean, covariance = beliefs(3, 3, seed=4)
     eye = np.array([20.0, -30.0, 25.0])
     rims, arcs = ellipsoids.contours(mean, covariance, eye), ellipsoids.meridians(mean, covariance, eye)
@@ -113,7 +113,7 @@ def test_an_eye_within_an_ellipsoid_sees_no_border():
         ([], 0),
     ],
 )
-def test_faces_span_closed_lines_and_what_edges_join(outline, count):
+def test_faces_span_closed_lines_and_joined_edges(outline, count):
     made = ellipsoids.faces(outline)
     assert len(made) == count
     points = np.concatenate([np.zeros((0, 3)), *outline])

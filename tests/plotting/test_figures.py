@@ -81,7 +81,7 @@ def test_episode_data_of_a_longer_state_shows_positions(real):
     np.testing.assert_allclose(made.covariance[5, 2], Z @ inverse @ Z.T, rtol=1e-9)
 
 
-def test_score_and_share_count_who_is_there():
+def test_score_and_share_count_present_targets():
     present = np.array([[1, 1, 0], [1, 1, 1], [1, 0, 1]], bool)
     visible = np.array([[1, 0, 1], [0, 1, 1]], bool)
     log_det = np.array([[1.0, 2, 3], [4, 50, 6]])
@@ -168,7 +168,7 @@ def test_between_instants_targets_move_in_line_and_the_trail_is_bounded():
     np.testing.assert_allclose(shown.path.get_xydata()[0], which.pose[2, :2])
 
 
-def test_limits_hold_everything_but_beliefs_without_bound():
+def test_limits_contain_all_but_vague_beliefs():
     which = random_episode(3, 2)
     vague = dataclasses.replace(which, covariance=1e6 * which.covariance)
     for made, most in ((which, 60.0), (vague, 60.0)):
@@ -269,12 +269,12 @@ def test_mp4_pipes_every_frame(tmp_path, monkeypatch):
         ("a.gif", {"fps": 0}, "fps = 0: expected from 1 to 50"),
     ],
 )
-def test_animate_refuses(tmp_path, name, options, message):
+def test_animate_rejects_unsupported_output(tmp_path, name, options, message):
     with pytest.raises(ValueError, match=message):
         animation.animate(random_episode(), tmp_path / name, **options)
 
 
-def test_nothing_to_draw_and_wrong_endings_are_rejected(tmp_path):
+def test_empty_input_and_wrong_file_endings_are_rejected(tmp_path):
     with pytest.raises(ValueError, match="no episode to draw"):
         figures.trajectory_figure([], tmp_path / "a.png")
     with pytest.raises(ValueError, match="no episode to draw"):

@@ -111,7 +111,7 @@ def test_view_and_agent_are_moved_by_the_pose():
         assert np.abs(np.concatenate(dart) - nose).sum(axis=1).min() < 1e-12
 
 
-def test_everything_stands_on_the_floor():
+def test_drop_lines_end_on_the_ground():
     which = made_up(3, 2)
     shown = scene(which, SUBSTEPS)
     floor = SpatialScene.limits([which])[0, 2]

@@ -143,7 +143,7 @@ def test_inputs_in_space(n_y):
     np.testing.assert_allclose(expm(twist), T, atol=1e-12)
 
 
-def test_masked_softmax_is_softmax_over_what_is_there():
+def test_masked_softmax_is_softmax_over_the_unmasked():
     compiled = jax.jit(masked_softmax)
     for scale in (1.0, 50.0, 1e4):
         for _ in range(5):
@@ -199,7 +199,7 @@ def test_without_any_target_value_and_gradient_are_those_of_an_empty_context():
 
 
 @pytest.mark.parametrize("frame", ["body", "world"])
-def test_order_and_padding_of_targets_change_nothing(frame):
+def test_order_and_padding_of_targets_do_not_matter(frame):
     network = policy(frame, 2)
     pose, mean, information, present = scene(6, 2)
     present[5] = False
@@ -217,7 +217,7 @@ def test_order_and_padding_of_targets_change_nothing(frame):
 
 
 @pytest.mark.parametrize("n_y", [2, 4])
-def test_body_frame_decision_does_not_depend_on_the_worlds_frame(n_y):
+def test_body_frame_decision_does_not_depend_on_the_world_frame(n_y):
     """The same agent, targets and beliefs, told in a frame that is turned and shifted."""
     pose, mean, information, present = scene(6, n_y)
     turn, shift = 2.7, np.array([40.0, -7.0])

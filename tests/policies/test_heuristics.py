@@ -45,7 +45,7 @@ def steered_to(control, pose, goal):
 
 
 @pytest.mark.parametrize("method", ["nearest", "uncertain"])
-def test_steers_to_the_target_that_it_says(method):
+def test_steers_to_the_chosen_target(method):
     rng, policy = np.random.default_rng(0), heuristic(method, PROBLEM, 2.0)
     for _ in range(100):
         pose = np.array([*rng.uniform(-5, 5, 2), rng.uniform(-9, 9)])
@@ -66,7 +66,7 @@ def test_uncertain_takes_the_nearer_of_equals():
 
 
 @pytest.mark.parametrize("method", ["nearest", "uncertain"])
-def test_stands_before_its_target_in_the_end(method):
+def test_ends_in_front_of_its_target(method):
     """A target that stands still: the agent ends at its standoff, facing it, and stays."""
     policy = heuristic(method, REVERSING, 2.0)
     goal = np.array([-6.0, 5.0])

@@ -112,7 +112,7 @@ def test_padding_and_order_do_not_matter(name):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_the_world_s_frame_does_not_matter(name):
+def test_the_world_frame_does_not_matter(name):
     policy, (turn, place, mean, information, known_input) = network(name), scene(name, 4)
     d, n_y = len(place), mean.shape[1]
     other = Rotation.from_rotvec([0, 0, -0.9] if d == 2 else [1.1, 0.4, -0.6]).as_matrix()[:d, :d]

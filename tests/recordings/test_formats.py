@@ -77,7 +77,7 @@ RIGHT_HEADER = "the header must be time_s,track_id,x_m,y_m or time_s,track_id,x_
         ),
     ],
 )
-def test_bad_files_are_told_in_one_line(tmp_path, content, line, value, expected):
+def test_bad_files_are_rejected_in_one_line(tmp_path, content, line, value, expected):
     path = write(tmp_path, content)
     with pytest.raises(ValueError, match=r": line \d+: ") as caught:
         load_recording(path)
@@ -89,7 +89,7 @@ def test_bad_files_are_told_in_one_line(tmp_path, content, line, value, expected
     assert len(message) < 400 + len(str(path))
 
 
-def test_bad_paths_are_told_in_one_line(tmp_path):
+def test_bad_paths_are_rejected_in_one_line(tmp_path):
     with pytest.raises(ValueError, match=r"^.*nowhere\.csv: no such file; give the path of a recording"):
         load_recording(tmp_path / "nowhere.csv")
     with pytest.raises(ValueError, match=r"^.*: is a directory; give the path of a recording"):

@@ -36,7 +36,7 @@ def test_walk_covariance_of_a_random_walk(dimension, clock):
     assert fit.trimmed_fraction < 1e-3
 
 
-def test_slow_clocks_are_scaled_by_how_the_motion_goes_on():
+def test_slow_clocks_are_scaled_by_the_persistence_of_motion():
     rng = np.random.default_rng(4)
     times = 20.0 * np.arange(400)  # ships: one fix in 20 s, control every 0.5 s
     course = np.array([6.0, 8.0])

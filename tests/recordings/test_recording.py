@@ -74,7 +74,7 @@ def test_single_fixes_are_present_only_where_they_coincide():
     np.testing.assert_array_equal(sampled.positions_m[:, 1], np.full((9, 2), 9.0))
 
 
-def test_sampling_refuses_what_makes_no_sense():
+def test_invalid_sampling_is_rejected():
     short = recording(track([0.0, 1.0], np.zeros((2, 2))))
     for tau_s in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match=r"^tau_s is .*; it must be a positive, finite number of seconds$"):

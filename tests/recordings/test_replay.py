@@ -54,7 +54,7 @@ def inside(x: float, y: float) -> bool:
     return math.hypot(x, y) <= DEPTH and abs(math.degrees(math.atan2(y, x))) <= ANGLE / 2
 
 
-def test_what_a_still_agent_sees_is_what_geometry_says(scenario, recording) -> None:
+def test_a_still_agent_sees_the_targets_in_its_view(scenario, recording) -> None:
     # Without the gate: `a` walks straight on, as this scenario does not expect.
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, gate=None)
     row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
@@ -121,7 +121,7 @@ def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
     np.testing.assert_allclose(trace.log_det[:, column], -2 * np.log(variance), rtol=1e-9)
 
 
-def test_every_belief_begins_anew_when_its_target_appears(scenario, recording) -> None:
+def test_a_belief_restarts_when_its_target_appears(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
     _, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
     index = ready.slots.track_index
@@ -149,7 +149,7 @@ def test_starts(scenario, recording) -> None:
     assert np.ptp(starts[:, 2]) > 5.0
 
 
-def test_warnings_say_what_contradicts(scenario, recording) -> None:
+def test_warnings_name_the_contradiction(scenario, recording) -> None:
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
     said = " ".join(warnings_for(scenario, recording, ready.slots, 2.0))
     assert "up to 4 targets at once" in said

@@ -33,7 +33,7 @@ CHANGED = {
 
 
 @pytest.mark.parametrize("name", BY_NAME)
-def test_a_factor_changes_what_it_says_and_nothing_else(name):
+def test_a_factor_changes_only_its_own_quantity(name):
     factor, plain = BY_NAME[name], leaves(Scenario())
     where, expected = CHANGED[name]
     for value in factor.values:

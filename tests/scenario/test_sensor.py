@@ -9,7 +9,7 @@ from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import SensorSettings
 
 
-def test_badly_scaled_covariances_are_fine_in_float32():
+def test_badly_scaled_covariances_are_valid_in_float32():
     """A kilometre beside a millimetre: what scales the axes costs no digits."""
     V = ((1e6, 0.0), (0.0, 1e-6))
     with jax.enable_x64(False):

@@ -47,7 +47,7 @@ def test_integrators_are_van_loan_s(order, dimension):
 
 
 @pytest.mark.parametrize("memory", [0.03, 0.5, 4.0, 1e7])
-def test_velocities_that_are_forgotten(memory):
+def test_velocities_decay_as_ornstein_uhlenbeck(memory):
     """Van Loan's exponential with a velocity that decays; with a long memory the chain of integrators."""
     density = np.array(Q)
     target = VelocityTarget(kind="constant_velocity", Q=Q, memory_s=memory)
@@ -68,7 +68,7 @@ def test_velocities_that_are_forgotten(memory):
         target.motion(3, 21 * memory)
 
 
-def test_what_each_kind_believes_at_first_and_where_it_takes_a_drift():
+def test_initial_belief_and_drift_of_each_kind():
     velocity = VelocityTarget(kind="constant_velocity", initial_variance_m2=3.0, initial_velocity_variance_m2_s2=0.5)
     np.testing.assert_array_equal(np.diag(velocity.prior_covariance(2)), [3.0, 3.0, 0.5, 0.5])
     acceleration = AccelerationTarget(kind="constant_acceleration", initial_acceleration_variance_m2_s4=0.1)

@@ -144,7 +144,7 @@ def test_episodes_one_after_another_differ() -> None:
     assert not np.allclose(first.episode.pose, second.episode.pose)
 
 
-def test_a_protocol_that_needs_truth_is_refused_without_it() -> None:
+def test_a_protocol_that_needs_truth_is_rejected_without_it() -> None:
     for protocol in (TRUE, SOFT):
         with pytest.raises(ValueError, match="noise = False"):
             Environment(PLANAR.problem(), PLANAR.scenes, protocol, noise=False)

@@ -192,7 +192,7 @@ SMALL = Scene(id="small", agent=(0.5, 1.0, 2.0), targets=((1.0, 2.0), (3.0, -1.0
 LARGE = Scene(id="large", agent=(0.0, 0.0, 0.0), targets=((0.0, 2.0),) * 4, drift=((0.0, 0.0),) * 4, horizon=7)
 
 
-def test_chance_of_an_episode_depends_on_nothing_else():
+def test_noise_of_an_episode_depends_on_its_key_alone():
     """Neither on the padding, nor on the order, nor on the other scenes, nor on how many episodes there are."""
     problem, settings = PAPER.problem(), PAPER.scenes
     alone = scene_episodes(problem, settings, [SMALL], 3, 2)
@@ -215,7 +215,7 @@ def test_chance_of_an_episode_depends_on_nothing_else():
     assert not np.array_equal(alone.mean[0], alone.mean[1])
 
 
-def test_chance_differs_by_seed_scene_and_episode():
+def test_noise_differs_by_seed_scene_and_episode():
     problem = PAPER.problem()
     cases = [(SMALL, 0, 0), (SMALL, 0, 1), (SMALL, 1, 0), (replace(SMALL, id="other"), 0, 0)]
     firsts = [scene_noise(problem, *case)["process"][0, 0, 0] for case in cases]

@@ -82,7 +82,7 @@ def test_a_policy_with_memory_is_lifted_too():
     np.testing.assert_allclose(lifted.action, planar.action, rtol=1e-9, atol=1e-9)
 
 
-def test_what_cannot_be_lifted():
+def test_unsupported_planar_problems_are_rejected():
     problem = Scenario(sensor=SensorSettings(frame="body")).problem()
     with pytest.raises(ValueError, match="'body'"):
         embedded_problem(problem)

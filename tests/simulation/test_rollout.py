@@ -269,7 +269,7 @@ def test_an_episode_with_truth(n_y, protocol):
         assert np.abs(trace.action - first[1]).max() > 1e-3
 
 
-def test_what_training_differentiates():
+def test_training_differentiates_the_mean_log_det_over_levels():
     """Without truth, as in the paper's training: log dets, in the mean over the levels; nothing is really seen."""
     case = replace(world(2), truth=None)
     _, _, mean, covariance, visible = case.simulate([tuple(level) for level in MIXTURE.levels])
@@ -295,7 +295,7 @@ def ahead_of(pose):
     return pose[..., :2] + np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
 
 
-def test_padding_changes_nothing():
+def test_padding_does_not_matter():
     case, wide = world(2), world(2, n=5, K=18, seed=9)
     K, n = case.inputs.shape[:2]
     rows, steps = (slice(0, n),), slice(0, K)

@@ -10,10 +10,7 @@ from helpers.distributions import uniform
 
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
-from foveate.simulation.episodes import (
-    scene_episodes,
-)
-from foveate.simulation.suites import suite, table1
+from foveate.simulation.suites import scene_episodes, suite, table1
 
 PAPER = Scenario()
 

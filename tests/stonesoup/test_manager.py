@@ -231,7 +231,7 @@ class Ending(Policy):
         return jnp.stack([2 / observation.left - 1, jax.random.uniform(key)]), ()
 
 
-def test_the_end_and_chance():
+def test_the_horizon_and_random_keys_are_those_of_a_rollout():
     body = body_of()
     sensor, _ = mounted(body, steers=True)
     given = {"sensors": {sensor}, "predictor": KalmanPredictor(walking()), "policy": Ending()}
@@ -266,7 +266,7 @@ class Camera(SimpleSensor):
     is_clutter_detectable = is_detectable
 
 
-def test_the_world_is_taken_over():
+def test_the_problem_is_derived_from_stone_soup_models():
     body = body_of()
     camera = Camera()
     Platform(movement_controller=body, sensors=[camera])
@@ -292,7 +292,7 @@ def test_order_of_states():
             state_order(mapping, size)
 
 
-def test_another_world_is_warned_of():
+def test_a_differing_scenario_gives_a_warning():
     body = body_of(replace_limits(PROBLEM.agent))
     view = fov_planar.sector(3.0, 1.0)
     plain = {"ndim_state": 2, "position_mapping": (0, 1), "noise_covar": 0.04 * np.eye(2)}
@@ -309,7 +309,7 @@ def replace_limits(agent):
     return Agent(space=agent.space, axes=agent.axes, lower=agent.lower, upper=2 * agent.upper)
 
 
-def test_what_has_no_place_is_said_in_one_line():
+def test_unsupported_models_are_rejected_in_one_line():
     linear, given = KalmanPredictor(walking()), {"policy": Ending()}
 
     def rejected(match, platforms=(), sensors=(), predictor=linear):

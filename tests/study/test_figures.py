@@ -38,7 +38,7 @@ def brute_force_front(points):
     }
 
 
-def test_the_front_is_what_nobody_beats():
+def test_the_front_is_the_undominated_methods():
     rng = np.random.default_rng(0)
     for _ in range(20):
         points = [overall(str(i), *values) for i, values in enumerate(rng.integers(1, 6, (8, 2)).astype(float))]

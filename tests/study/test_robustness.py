@@ -31,7 +31,7 @@ def test_scenes_are_those_of_table1_and_the_same_for_every_value():
 
 
 @pytest.mark.slow
-def test_points_are_what_an_evaluation_says():
+def test_points_equal_an_evaluation():
     def nearest(experiment):
         return heuristic("nearest", experiment.scenario.problem(), experiment.scenario.view.depth_m)
 
@@ -45,7 +45,7 @@ def test_points_are_what_an_evaluation_says():
     assert measured[0.2]["floor"] == pytest.approx(-2 * np.log(2.0 + 15 * 0.05**2))
 
 
-def test_the_table_leaves_out_a_closeness_that_says_nothing():
+def test_the_table_omits_a_meaningless_normalised_score():
     """Where a method passes the omniscient planner, that planner is the weak one."""
     best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in random_points()[-2:]]
     found = robustness([DOUBLING], [*random_points()[:-2], *best])

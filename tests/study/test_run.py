@@ -85,7 +85,7 @@ def a_study(experiment=EXPERIMENT, starts=1, **changes) -> Study:
     return Study(**{"methods": methods, "reference": "policy", "seeds": (0, 10), "scenes_per_cell": 2, **changes})
 
 
-def test_jobs_are_in_an_order_that_can_be_done(tmp_path):
+def test_jobs_follow_their_dependencies(tmp_path):
     assert [job.path.name for job in jobs(a_study(seeds=(5,)), tmp_path)] == [
         "rows-planner-surrogate.json",
         "rows-planner-true.json",
@@ -97,7 +97,7 @@ def test_jobs_are_in_an_order_that_can_be_done(tmp_path):
     assert len(jobs(a_study(methods=two, seeds=(0,)), tmp_path)) == 7
 
 
-def test_all_is_done_once_and_comes_back(tmp_path):
+def test_every_job_runs_once_and_is_loaded_again(tmp_path):
     told = []
     found = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
     parts, trained = found.parts, found.trained
@@ -192,7 +192,7 @@ def test_a_training_that_cannot_be_resumed_is_done_again(tmp_path, monkeypatch):
     assert "holds other arrays" in said[0]
 
 
-def test_rows_are_those_of_the_weights_that_lie_there(tmp_path):
+def test_rows_are_those_of_the_stored_weights(tmp_path):
     reproduce(a_study(seeds=(0,)), tmp_path)
     (tmp_path / TRAININGS / "net-0" / reproduction.BEST).unlink()
     CALLS.clear()
@@ -201,7 +201,7 @@ def test_rows_are_those_of_the_weights_that_lie_there(tmp_path):
     assert CALLS == ["train net-0 resume=False", "policy surrogate net-0", "policy true net-0"]
 
 
-def test_a_training_without_a_policy_is_said(tmp_path, monkeypatch):
+def test_a_training_without_a_policy_is_reported(tmp_path, monkeypatch):
     nothing = Outcome(epochs=1, best_epoch=0, best_score=-float("inf"), rollbacks=0, stopped="not finite")
     monkeypatch.setattr(reproduction, "train", lambda *given: nothing)
     with pytest.raises(ValueError, match=r"net-0: no validation was finite.*not finite"):
@@ -243,7 +243,7 @@ def test_two_methods_of_one_file_are_rejected(tmp_path):
         ({"seeds": (0, 3)}, ["train net-3 resume=False", "policy surrogate net-3", "policy true net-3"]),
     ],
 )  # fmt: skip
-def test_what_was_made_with_other_settings_is_made_again(tmp_path, change, again):
+def test_other_settings_are_computed_again(tmp_path, change, again):
     reproduce(a_study(seeds=(0,)), tmp_path)
     CALLS.clear()
     said = []
@@ -264,7 +264,7 @@ def test_a_changed_revision_or_version_computes_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"key": ', "[1]"])
-def test_a_damaged_job_is_made_again(tmp_path, content):
+def test_a_damaged_job_is_computed_again(tmp_path, content):
     reproduce(a_study(), tmp_path)
     CALLS.clear()
     said = []
@@ -306,7 +306,7 @@ def test_a_run_folder_that_is_gone_is_trained_again(tmp_path):
         ),
     ],
 )
-def test_a_study_that_makes_no_sense_is_rejected(changes, message):
+def test_an_invalid_study_is_rejected(changes, message):
     with pytest.raises(ValueError, match=message):
         a_study(**changes)
 

@@ -12,7 +12,7 @@ from foveate.io.tables import markdown
 from foveate.study.tables import tables
 
 
-def test_tables_say_it(comparison):
+def test_tables_show_the_comparison(comparison):
     found = tables(comparison, "true")
     text = markdown("Made up", {"scenes": "8"}, found, {"a.png": "a picture"})
     scores = found[0]
@@ -34,7 +34,7 @@ def test_tables_say_it(comparison):
     assert sum(line.startswith("| other | planned |") for line in lines) == 8
 
 
-def test_tables_say_whether_the_filter_knows_its_errors():
+def test_tables_show_the_consistency_of_the_filter():
     """NEES 2 is within every band of 24 and 40 targets, 1.5 and 2.5 only within those of few."""
     given = tuple(replace(row, nees_seen=1.0, seen_fraction=1.0, nees_unseen=None) for row in rows("net", BASE))
     part = Part(method="net", family="trained", training_seed=None, protocol="true", rows=given,

@@ -146,7 +146,7 @@ def test_decides_as_the_jax_policy(name):
     assert (np.array(alone) <= np.asarray(single.agent.upper)).all()
 
 
-def test_what_stands_in_padding_does_not_matter():
+def test_values_in_padding_do_not_matter():
     """Not a number included: a robot's command must not become one."""
     experiment = CASES["pointer"]
     live, arrays = session(to_onnx(experiment, strong(experiment))), beliefs(experiment, 20, 6)
@@ -179,7 +179,7 @@ def trained(tmp_path_factory):
     return folder / "run", folder / "policy.onnx"
 
 
-def test_metadata_say_what_goes_in_and_out(trained):
+def test_metadata_name_inputs_and_outputs(trained):
     facts = onnxruntime.InferenceSession(trained[1]).get_modelmeta().custom_metadata_map
     assert (facts["format"], facts["format_version"], facts["policy"]) == ("foveate-policy", "1", "pointer")
     assert json.loads(facts["tau_s"]) == 1.0
@@ -246,7 +246,7 @@ def test_the_example_needs_numpy_and_onnxruntime_only(trained):
     assert "us a decision, one every 1.0 s" in lines[2]
 
 
-def test_the_example_refuses_a_file_of_another_version(trained, tmp_path):
+def test_the_example_rejects_a_file_of_another_version(trained, tmp_path):
     model = onnx.load(trained[1])
     next(each for each in model.metadata_props if each.key == "format_version").value = "2"
     onnx.save(model, tmp_path / "later.onnx")
@@ -254,7 +254,7 @@ def test_the_example_refuses_a_file_of_another_version(trained, tmp_path):
         runpy.run_path(str(EXAMPLE))["OnnxPolicy"](str(tmp_path / "later.onnx"))
 
 
-def test_wrong_input_is_one_line_and_leaves_nothing(trained, tmp_path, capsys, monkeypatch):
+def test_wrong_input_is_one_line_and_leaves_no_file(trained, tmp_path, capsys, monkeypatch):
     folder, out = str(trained[0]), str(tmp_path / "x.onnx")
     assert "ends in .onnx" in failure(capsys, "export", folder, str(tmp_path / "x.txt"))
     assert "opset = 12: expected from 13 to 24" in failure(capsys, "export", folder, out, "--opset", "12")

@@ -163,7 +163,7 @@ def experiment_ppo(**changes: Any) -> Learner:
     return ppo.make_ppo(experiment, experiment.training, seed=1)
 
 
-def test_nothing_is_worth_anything_after_the_horizon() -> None:
+def test_the_value_after_the_horizon_is_zero() -> None:
     """Whatever the critic claims, the return of an episode's last step is its reward, and no bootstrap is in that."""
     model = experiment_ppo()
     flattering(model)
@@ -191,7 +191,7 @@ def test_the_test_above_catches_a_horizon_that_is_taken_for_a_truncation() -> No
         np.testing.assert_allclose(kept.returns[:-1][last_steps(kept)], expected, rtol=1e-5)
 
 
-def test_a_critic_learns_what_is_left() -> None:
+def test_the_critic_learns_the_remaining_return() -> None:
     """Reward 1 a step and no discount: after k of 5 steps, 5 - k is left; with a value beyond the end it would grow."""
     probe = Probe(5, 8, {"TimeLimit.truncated": False})
     options: dict[str, Any] = {"gamma": 1.0, "learning_rate": 5e-3, "device": "cpu", "seed": 0}
@@ -202,7 +202,7 @@ def test_a_critic_learns_what_is_left() -> None:
     np.testing.assert_allclose(values, [5, 4, 3, 2, 1], atol=0.25)
 
 
-def test_the_vec_env_tells_what_the_environment_does() -> None:
+def test_the_vec_env_equals_the_environment() -> None:
     """Rows, rewards (scaled), ends and infos against the environment stepped by itself, one copy at a time."""
     environment = Environment(PROBLEM, TINY.scenario.scenes, SURROGATE, noise=False)
     key, count = jax.random.key(5), 8
@@ -295,7 +295,7 @@ def test_a_run_from_end_to_end(tmp_path: Path) -> None:
         training.train(TINY, tmp_path / "c")
 
 
-def test_a_training_that_explodes_says_so(tmp_path: Path) -> None:
+def test_a_diverging_training_is_reported(tmp_path: Path) -> None:
     """A step so large that weights overflow: one line, and no policy that is no number."""
     wild = replace(TINY, training=replace(TINY.training, learning_rate=1e38, check_every=128))
     outcome = ppo.train(wild, tmp_path / "r", seed=3)
