@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import foveate
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
+FORMATS = ROOT / "tests" / "formats"
 PAGE = ROOT / "docs" / "recordings.md"
 CSV = "time_s,track_id,x_m,y_m\n"
 
@@ -50,6 +52,12 @@ def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nothing is trained for."""
+    return Path(shutil.copytree(FORMATS / "policy-gradient", tmp_path_factory.mktemp("stored") / "run"))
+
+
 def test_help_needs_no_jax_and_names_every_command() -> None:
     code = "import sys\nfrom foveate.cli.main import main\ntry: main(['--help'])\nfinally: print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -69,6 +77,7 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
     assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
 
+@pytest.mark.slow
 def test_run_folder_holds_what_it_promises(run: Path) -> None:
     names = {path.name for path in run.iterdir()}
     assert {"config.toml", "metrics.jsonl", "checkpoint"} <= names
@@ -135,20 +144,20 @@ def test_plan_writes_rows_that_keep_the_contract(
 
 
 def test_plan_refuses_what_does_not_fit(
-    run: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stored: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = ("plan", "--scenes", str(scenes))
     assert "--starts 0: expected >= 1" in failure(capsys, *plan, "--starts", "0")
     assert "--iterations 0" in failure(capsys, *plan, "--iterations", "0")
     assert "--window 0" in failure(capsys, *plan, "--window", "0")
     assert "--window 5" in failure(capsys, *plan, "--window", "5", "--omniscient")
-    assert "give one of them" in failure(capsys, *plan, "--preset", "best", "--run", str(run))
+    assert "give one of them" in failure(capsys, *plan, "--preset", "best", "--run", str(stored))
     assert "--episodes 0" in failure(capsys, *plan, "--episodes", "0")
     assert "give --run RUN" in failure(capsys, *plan, "--refine", "3")
-    assert "--refine 0" in failure(capsys, *plan, "--run", str(run), "--refine", "0")
-    assert "no other option" in failure(capsys, *plan, "--run", str(run), "--refine", "3", "--starts", "2")
+    assert "--refine 0" in failure(capsys, *plan, "--run", str(stored), "--refine", "0")
+    assert "no other option" in failure(capsys, *plan, "--run", str(stored), "--refine", "3", "--starts", "2")
     assert "--omniscient" in failure(capsys, *plan, "--omniscient", "--open-loop")
-    assert "give one of them" in failure(capsys, *plan, "--run", str(run), "--config", str(run / "config.toml"))
+    assert "give one of them" in failure(capsys, *plan, "--run", str(stored), "--config", str(stored / "config.toml"))
     assert "presets are paper" in failure(capsys, *plan, "--preset", "nobody")
     assert "nowhere" in failure(capsys, *plan, "--run", str(tmp_path / "nowhere"))
     assert "no such file" in failure(capsys, "plan", "--scenes", str(tmp_path / "missing.json"))
@@ -168,7 +177,7 @@ def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> 
 
 
 def test_wrong_input_is_one_line(
-    run: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stored: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = tmp_path / "bad.csv"
     bad.write_text(CSV + "0,a,1,nan\n")
@@ -178,21 +187,21 @@ def test_wrong_input_is_one_line(
     unknown.write_text("[training]\nepoch = 3\n")
     assert "nowhere" in failure(capsys, "evaluate", "nowhere")
     assert "presets are paper" in failure(capsys, "evaluate", "nowhere")
-    assert "expected one of" in failure(capsys, "evaluate", str(run), "--method", "psychic")
-    assert "--episodes 0" in failure(capsys, "evaluate", str(run), "--episodes", "0")
-    assert "bad.csv" in failure(capsys, "replay", str(run), str(bad))
-    assert "--agent-start 1,2" in failure(capsys, "replay", str(run), str(recording), "--agent-start", "1,2")
-    assert "spans" in failure(capsys, "replay", str(run), str(recording), "--start", "1000")
+    assert "expected one of" in failure(capsys, "evaluate", str(stored), "--method", "psychic")
+    assert "--episodes 0" in failure(capsys, "evaluate", str(stored), "--episodes", "0")
+    assert "bad.csv" in failure(capsys, "replay", str(stored), str(bad))
+    assert "--agent-start 1,2" in failure(capsys, "replay", str(stored), str(recording), "--agent-start", "1,2")
+    assert "spans" in failure(capsys, "replay", str(stored), str(recording), "--start", "1000")
     assert "depth_m = 0.0" in failure(capsys, "train", "--config", str(config), "--out", str(tmp_path / "x"))
     assert "epochs" in failure(capsys, "train", "--config", str(unknown), "--out", str(tmp_path / "x"))
     assert not (tmp_path / "x").exists()
-    assert "exists already" in failure(capsys, "train", "--out", str(run))
-    assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(run / "config.toml"))
-    assert "no folder" in failure(capsys, "evaluate", str(run), "--json", str(tmp_path / "no" / "x.json"))
-    assert "--scene-seed -1" in failure(capsys, "evaluate", str(run), "--scene-seed", "-1")
+    assert "exists already" in failure(capsys, "train", "--out", str(stored))
+    assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(stored / "config.toml"))
+    assert "no folder" in failure(capsys, "evaluate", str(stored), "--json", str(tmp_path / "no" / "x.json"))
+    assert "--scene-seed -1" in failure(capsys, "evaluate", str(stored), "--scene-seed", "-1")
     twice = ("--method", "still", "--method", "random")
-    assert "--method: is given twice" in failure(capsys, "evaluate", str(run), *twice)
-    assert "--seed and --resume" in failure(capsys, "train", "--resume", str(run), "--seed", "5")
+    assert "--method: is given twice" in failure(capsys, "evaluate", str(stored), *twice)
+    assert "--seed and --resume" in failure(capsys, "train", "--resume", str(stored), "--seed", "5")
     assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
 
 
@@ -223,13 +232,13 @@ def test_the_whole_way_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "planar" in failure(capsys, "evaluate", str(run), "--scenes", "table1")
 
 
-def test_render_says_what_it_cannot_draw(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_says_what_it_cannot_draw(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     gif = str(tmp_path / "x.gif")
-    assert ".gif, .mp4, .png" in failure(capsys, "render", str(run), "--out", str(tmp_path / "x.txt"))
-    assert "no such scene" in failure(capsys, "render", str(run), "--out", gif, "--scene", "nobody")
+    assert ".gif, .mp4, .png" in failure(capsys, "render", str(stored), "--out", str(tmp_path / "x.txt"))
+    assert "no such scene" in failure(capsys, "render", str(stored), "--out", gif, "--scene", "nobody")
     two = ("--scene", "biased-3-00", "biased-5-00")
-    assert "one scene" in failure(capsys, "render", str(run), "--out", gif, *two)
-    assert "--method all" in failure(capsys, "render", str(run), "--out", gif, "--method", "all")
+    assert "one scene" in failure(capsys, "render", str(stored), "--out", gif, *two)
+    assert "--method all" in failure(capsys, "render", str(stored), "--out", gif, "--method", "all")
     assert not list(tmp_path.iterdir())
 
 
@@ -260,21 +269,20 @@ def test_ppo_trains_a_run_that_evaluates(
 
 
 def test_an_algorithm_and_its_counts_belong_together(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "x"))
     assert "steps 10: this algorithm" in failure(capsys, "train", "--steps", "10", *out)
     assert "expected steps" in failure(capsys, "train", "--algorithm", "ppo", "--episodes", "10", *out)
     assert "steps = 0: expected >= 1" in failure(capsys, "train", "--algorithm", "ppo-tuned", "--steps", "0", *out)
-    assert "--algorithm and --resume" in failure(capsys, "train", "--algorithm", "ppo", "--resume", str(run))
+    assert "--algorithm and --resume" in failure(capsys, "train", "--algorithm", "ppo", "--resume", str(stored))
     assert not (tmp_path / "x").exists()
 
 
-def test_a_damaged_checkpoint_is_named(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import shutil
+def test_a_damaged_checkpoint_is_named(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
     copy = tmp_path / "copy"
-    shutil.copytree(run, copy)
+    shutil.copytree(stored, copy)
     best = copy / "checkpoint" / "best.npz"
     best.write_bytes(best.read_bytes()[:-100])
     assert "best.npz" in failure(capsys, "evaluate", str(copy))

@@ -79,6 +79,7 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
     summarise(rows, 2)
 
 
+@pytest.mark.slow
 def test_a_policy_does_not_beat_the_omniscient(suite, plans):
     trace = simulate(suite, heuristic("nearest", PROBLEM, 2.0), TRUE, chunk=4)
     scores = [row.score for row in rows_of(suite, "nearest", "true", trace, [0.0] * 4)[:3]]
@@ -86,6 +87,7 @@ def test_a_policy_does_not_beat_the_omniscient(suite, plans):
     assert (plans.score[:3] > floor(PROBLEM, [5, 3, 5])).all()
 
 
+@pytest.mark.slow
 def test_kept_plans_come_back(suite, plans, cache, monkeypatch):
     monkeypatch.setattr(yardstick, "_solve_all", None)
     again = omniscient(suite, "true", FEW, cache)
@@ -94,6 +96,7 @@ def test_kept_plans_come_back(suite, plans, cache, monkeypatch):
         np.testing.assert_array_equal(getattr(again, name), getattr(plans, name))
 
 
+@pytest.mark.slow
 def test_anything_else_is_planned_anew(suite, plans, cache, monkeypatch):
     called = []
 
@@ -122,6 +125,7 @@ def test_anything_else_is_planned_anew(suite, plans, cache, monkeypatch):
     assert len(list(cache.iterdir())) == len(others) + 1
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_made_anew(suite, plans, tmp_path, monkeypatch):
     monkeypatch.setattr(yardstick, "_solve_all", lambda *_: (plans.action, plans.seconds))
     omniscient(suite, "true", FEW, tmp_path)
@@ -138,6 +142,7 @@ def test_a_damaged_file_is_made_anew(suite, plans, tmp_path, monkeypatch):
     assert omniscient(suite, "true", FEW, tmp_path).cached
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_costs_only_time(suite, plans, tmp_path, monkeypatch):
     monkeypatch.setattr(yardstick, "_solve_all", lambda *_: (plans.action, plans.seconds))
     (tmp_path / "file").write_text("")

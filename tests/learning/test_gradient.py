@@ -81,6 +81,7 @@ def windowed(objective_, window):
     return np.asarray(gradient)
 
 
+@pytest.mark.slow
 def test_a_window_follows_a_decision_to_its_end_and_no_further(plain):
     """Weights of step k act on scores from k on; with windows of 2, on those up to the end of k's own window."""
     ends = [1, 1, 3, 3, 4]

@@ -92,6 +92,7 @@ def test_nothing_or_all_in_view_says_nothing(inside):
     np.testing.assert_array_equal(left.information, belief.information)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("absence", "is_honest"), [(None, False), ("used", True)])
 def test_a_filter_that_uses_absence_is_honest_of_what_it_looks_for_in_vain(absence, is_honest):
     """Targets anywhere about one who stands still; those count that were believed to be in view, and were not seen."""

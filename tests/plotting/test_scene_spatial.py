@@ -262,6 +262,7 @@ def test_the_space_of_a_film_says_what_draws_it():
 # Files
 
 
+@pytest.mark.slow
 def test_film_of_constant_velocity_shows_positions_and_their_covariance(tmp_path):
     eye, none = jnp.eye(3), jnp.zeros((3, 3))
     Z = jnp.hstack([eye, none])

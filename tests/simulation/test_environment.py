@@ -84,6 +84,7 @@ def test_scores_of_several_levels_are_their_mean() -> None:
     assert last[2] == pytest.approx((last[0] + last[1]) / 2, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_first_score_is_that_of_the_prior() -> None:
     """Y_0 = 0.5 I in the plane: log det = 2 log 0.5, whoever is there."""
     moment = reset(world("surrogate, no noise"), jax.random.key(0))
