@@ -64,7 +64,7 @@ def untrained(experiment: foveate.Experiment) -> foveate.TrainedPolicy:
     return foveate.TrainedPolicy(name="untrained", experiment=experiment, network=network, facts={})
 
 
-def test_heavy_modules_are_imported_on_demand() -> None:
+def test_heavy_modules_are_imported_on_demand():
     code = "import sys, foveate\nprint(dir(foveate), 'jax' in sys.modules, 'numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-2:] == ["False", "False"]
@@ -73,7 +73,7 @@ def test_heavy_modules_are_imported_on_demand() -> None:
         foveate.evalute  # type: ignore[attr-defined]  # noqa: B018
 
 
-def test_type_checkers_and_programs_see_the_same_names() -> None:
+def test_type_checkers_and_programs_see_the_same_names():
     stub = ast.parse((ROOT / "src" / "foveate" / "__init__.pyi").read_text(encoding="utf-8"))
     homes = {
         alias.asname: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
@@ -85,7 +85,7 @@ def test_type_checkers_and_programs_see_the_same_names() -> None:
 
 
 @pytest.mark.parametrize("experiment", [PLANE, SPACE], ids=["plane", "space"])
-def test_decides_as_its_onnx_file_on_tracker_beliefs(experiment: foveate.Experiment, tmp_path: Path) -> None:
+def test_decides_as_its_onnx_file_on_tracker_beliefs(experiment: foveate.Experiment, tmp_path: Path):
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
     policy, d = untrained(experiment), experiment.scenario.dimension
     policy.export(tmp_path / "policy.onnx")
@@ -102,7 +102,7 @@ def test_decides_as_its_onnx_file_on_tracker_beliefs(experiment: foveate.Experim
     assert json.loads(session.get_modelmeta().custom_metadata_map["output"])["axes"] == list(policy.axes)
 
 
-def test_a_pose_in_space_is_a_matrix_or_numbers() -> None:
+def test_a_pose_in_space_is_a_matrix_or_numbers():
     policy, turn = untrained(SPACE), Rotation.from_euler("z", 0.7)
     x, y, z, w = turn.as_quat()
     T = np.eye(4)
@@ -114,7 +114,7 @@ def test_a_pose_in_space_is_a_matrix_or_numbers() -> None:
         policy(belief, T)
 
 
-def test_predicts_as_filterpy_and_padding_does_not_matter() -> None:
+def test_predicts_as_filterpy_and_padding_does_not_matter():
     policy = untrained(PLANE)
     mean, P = np.array([[1.0, 2.0], [3.0, -4.0]]), np.array([[0.5, 0.1], [0.1, 0.3]])
     pushes, far = np.array([[0.4, 0.0], [0.0, -0.2]]), [[np.nan, np.inf]]
@@ -160,12 +160,12 @@ ONE = np.eye(2)
         ({"mean": [[1, 2]], "covariance": ONE, "known_input": [[0], [0]]}, r"known_input has shape \(2, 1\)"),
     ],
 )
-def test_a_belief_that_is_none_is_rejected(arguments: dict, complaint: str) -> None:
+def test_a_belief_that_is_none_is_rejected(arguments: dict, complaint: str):
     with pytest.raises(ValueError, match=complaint):
         foveate.Belief(**arguments)
 
 
-def test_a_belief_or_pose_of_another_scenario_is_rejected() -> None:
+def test_a_belief_or_pose_of_another_scenario_is_rejected():
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=r"mean has shape \(1, 3\): expected \(1, 2\)"):
         policy(foveate.Belief(np.ones((1, 3)), covariance=np.eye(3)), [0, 0, 0])
@@ -192,7 +192,7 @@ def trainer(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
 
 
 @pytest.mark.slow
-def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) -> None:
+def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path):
     out = tmp_path / "run"
     policy = foveate.train(PLANE.scenario, like="paper", epochs=7, seed=3, out=out)
     expected = for_scenario(PLANE.scenario, "paper")
@@ -216,7 +216,7 @@ def test_trains_into_a_run_or_into_memory(trainer: list[tuple], tmp_path: Path) 
         foveate.train("paper", seed=-1)
 
 
-def test_saved_policies_are_loaded_unchanged(tmp_path: Path) -> None:
+def test_saved_policies_are_loaded_unchanged(tmp_path: Path):
     policy = replace(untrained(PLANE), facts={"seed": 3})
     policy.save(tmp_path / "kept")
     kept = foveate.load(tmp_path / "kept")
@@ -232,7 +232,7 @@ def test_saved_policies_are_loaded_unchanged(tmp_path: Path) -> None:
         foveate.load("nobody")
 
 
-def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Whoever is given: a run, a policy, and one of the user's own with its scenario."""
     monkeypatch.setattr("foveate.evaluation.evaluate.decision_time", lambda *_: 0.125)
     out, policy, scenes = tmp_path / "run", untrained(PLANE), tmp_path / "scenes.json"
@@ -265,7 +265,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_plans_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plans_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("foveate.evaluation.planners.decision_time", lambda *_, **__: 0.125)
     policy, out, scenes = untrained(PLANE), tmp_path / "run", tmp_path / "scenes.json"
     policy.save(out)
@@ -290,7 +290,7 @@ def test_plans_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             foveate.plan([SCENE], **wrong)
 
 
-def test_fits_as_the_command(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fits_as_the_command(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["fit", str(recording), "--out", str(tmp_path / "a.toml"), "--end", "8", "--v-max", "2"]) == 0
     fitted = foveate.fit(recording, end=8.0, v_max=2.0)
     fitted.save(tmp_path / "b.toml")
@@ -303,7 +303,7 @@ def test_fits_as_the_command(recording: Path, tmp_path: Path, capsys: pytest.Cap
         foveate.fit(recording, tau=0.0)
 
 
-def test_replays_as_the_command(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replays_as_the_command(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("foveate.recordings.replay.decision_time", lambda *_: 0.125)
     policy, out = untrained(PLANE), tmp_path / "run"
     policy.save(out)
@@ -329,7 +329,7 @@ def test_replays_as_the_command(recording: Path, tmp_path: Path, monkeypatch: py
             foveate.replay(policy, recording, **wrong)
 
 
-def test_an_experiment_is_one_a_scenario_a_preset_a_file_or_a_run(tmp_path: Path) -> None:
+def test_an_experiment_is_one_a_scenario_a_preset_a_file_or_a_run(tmp_path: Path):
     write_config(tmp_path, SPACE)
     assert experiment_from("paper") == PRESETS["paper"]
     assert experiment_from(tmp_path) == experiment_from(str(tmp_path / "config.toml")) == SPACE
@@ -339,7 +339,7 @@ def test_an_experiment_is_one_a_scenario_a_preset_a_file_or_a_run(tmp_path: Path
         experiment_from("nobody")
 
 
-def test_memory_and_gradients_of_long_episodes_are_bounded_where_asked() -> None:
+def test_memory_and_gradients_of_long_episodes_are_bounded_where_asked():
     paper = PRESETS["paper"]
     assert for_long_horizons(paper) is paper
     training = for_long_horizons(paper, remat=True, window=5).training
@@ -362,7 +362,7 @@ def test_memory_and_gradients_of_long_episodes_are_bounded_where_asked() -> None
         ({"scenes": "nowhere.json"}, "nowhere.json: there is no such file"),
     ],
 )
-def test_an_invalid_evaluation_is_rejected(options: dict, complaint: str) -> None:
+def test_an_invalid_evaluation_is_rejected(options: dict, complaint: str):
     policy = untrained(PLANE)
     with pytest.raises(ValueError, match=complaint):
         foveate.evaluate(policy, **{"scenes": [SCENE], **options})
@@ -370,7 +370,7 @@ def test_an_invalid_evaluation_is_rejected(options: dict, complaint: str) -> Non
         foveate.evaluate(policy.network, [SCENE])
 
 
-def test_a_policy_of_another_space_is_rejected() -> None:
+def test_a_policy_of_another_space_is_rejected():
     with pytest.raises(ValueError, match="scenario: has 3 dimensions, states of 6 numbers and 4 of a command"):
         foveate.evaluate(untrained(PLANE), scenario=QUADROTOR)
     belief = foveate.Belief([[1e39, 0.0]], covariance=np.eye(2))
@@ -380,7 +380,7 @@ def test_a_policy_of_another_space_is_rejected() -> None:
         untrained(PLANE)(foveate.Belief([[1.0, 0.0]], covariance=np.eye(2)), [0.0, 0.0, 0.0], steps_left=0)
 
 
-def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view() -> None:
+def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view():
     paper = PRESETS["paper"].scenario
     for name, preset in PRESETS.items():
         assert for_scenario(preset.scenario, name) == preset
@@ -395,9 +395,7 @@ def test_a_scenario_is_trained_as_a_preset_with_lengths_that_fit_its_view() -> N
         adjusted(PLANE, "sarsa")
 
 
-def test_a_notebook_shows_progress_at_each_tenth(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_notebook_shows_progress_at_each_tenth(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     for quiet in (False, True):
         with Bar("training", 40, "epochs", quiet) as bar:

@@ -137,12 +137,12 @@ def exported() -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_links_have_targets(page: Path) -> None:
+def test_links_have_targets(page: Path):
     assert broken_links(page) == []
 
 
 @pytest.mark.parametrize("page", USERS_PAGES, ids=[str(page.relative_to(ROOT)) for page in USERS_PAGES])
-def test_pages_import_and_name_only_public_names(page: Path) -> None:
+def test_pages_import_and_name_only_public_names(page: Path):
     text = page.read_text(encoding="utf-8")
     blocks = [code for _, kind, code in FENCE.findall(text) if kind == "python"]
     assert [name for code in blocks for name in deep_imports(code)] == []
@@ -151,21 +151,21 @@ def test_pages_import_and_name_only_public_names(page: Path) -> None:
 
 
 @pytest.mark.parametrize("file", sorted(ROOT.glob("examples/*.py")), ids=lambda file: file.name)
-def test_examples_import_only_public_names(file: Path) -> None:
+def test_examples_import_only_public_names(file: Path):
     assert deep_imports(file.read_text(encoding="utf-8")) == []
 
 
-def test_deep_imports_are_caught() -> None:
+def test_deep_imports_are_caught():
     code = "import foveate.gym, foveate.io.files\ndef f():\n    from foveate.scenario import target\nimport foveate"
     assert deep_imports(code) == ["foveate.io.files", "foveate.scenario"]
     assert deep_imports("from foveate import train\nfrom foveate.gym import ID\nimport foveated.x") == []
 
 
-def test_every_public_name_stands_on_one_page() -> None:
+def test_every_public_name_stands_on_one_page():
     assert sorted(name for page in API for name in SHOWN.findall(page.read_text(encoding="utf-8"))) == exported()
 
 
-def test_the_picture_of_the_layout_names_every_folder_and_places_that_exist() -> None:
+def test_the_picture_of_the_layout_names_every_folder_and_places_that_exist():
     text = CONTRIBUTING.read_text(encoding="utf-8")
     (picture,) = [code for _, kind, code in FENCE.findall(text) if kind == "text"]
     folders = {path.parent.name for path in ROOT.glob("src/foveate/*/__init__.py")}
@@ -176,12 +176,12 @@ def test_the_picture_of_the_layout_names_every_folder_and_places_that_exist() ->
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_tests_that_a_page_names_exist(page: Path) -> None:
+def test_tests_that_a_page_names_exist(page: Path):
     named = TEST.findall(page.read_text(encoding="utf-8"))
     assert [f"{file}::{name}" for file, name in named if not defines(ROOT / file, name)] == []
 
 
-def test_every_equation_has_its_code_and_its_test() -> None:
+def test_every_equation_has_its_code_and_its_test():
     text = EQUATIONS.read_text(encoding="utf-8")
     assert numbers(text) == NUMBERS
     assert untold(text) == []
@@ -192,7 +192,7 @@ def test_every_equation_has_its_code_and_its_test() -> None:
 @pytest.mark.slow
 def test_python_on_the_first_page_and_its_example_run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     """All but the training, which takes minutes: what it is asked for is checked, and the preset's policy given."""
     asked = []
 
@@ -255,7 +255,7 @@ def made_up(folder: Path, text: str) -> Path:
     return folder / "page.md"
 
 
-def test_a_sound_page_passes(tmp_path: Path) -> None:
+def test_a_sound_page_passes(tmp_path: Path):
     page = made_up(tmp_path, MADE_UP)
     assert broken_links(page) == unkept(page) == untold(MADE_UP) == []
     assert numbers(MADE_UP) == [1, 2]
@@ -275,11 +275,11 @@ def test_a_sound_page_passes(tmp_path: Path) -> None:
         ("return x", "return y"),
     ],
 )
-def test_an_unsound_page_is_caught(tmp_path: Path, right: str, wrong: str) -> None:
+def test_an_unsound_page_is_caught(tmp_path: Path, right: str, wrong: str):
     assert MADE_UP.count(right) == 1
     page = made_up(tmp_path, MADE_UP.replace(right, wrong))
     assert len(broken_links(page) + unkept(page)) == 1
 
 
-def test_a_section_without_code_or_test_is_caught() -> None:
+def test_a_section_without_code_or_test_is_caught():
     assert untold(MADE_UP.replace("::test_it", "")) == untold(MADE_UP.replace("`code.py` ", "")) != []

@@ -144,17 +144,17 @@ def _long_functions(node: ast.AST, depth: int) -> list[str]:
     return found
 
 
-def test_imports_point_to_lower_folders() -> None:
+def test_imports_point_to_lower_folders():
     assert violations(SOURCE, ORDER) == []
 
 
-def test_every_place_in_the_order_exists() -> None:
+def test_every_place_in_the_order_exists():
     folders = {module.partition(".")[0] for module in modules(SOURCE)} - {"__init__"}
     assert set(ORDER) == folders
     assert len(ORDER) == len(set(ORDER))
 
 
-def test_the_root_holds_few_modules() -> None:
+def test_the_root_holds_few_modules():
     assert len([path for path in SOURCE.glob("*.py") if path.name != "__init__.py"]) <= ROOT_MODULES
 
 
@@ -173,11 +173,11 @@ def untested(source: Path, tests: Path, elsewhere: dict[str, str]) -> list[str]:
     return sorted(found)
 
 
-def test_every_module_has_a_test_file() -> None:
+def test_every_module_has_a_test_file():
     assert untested(SOURCE, TESTS, TESTED_ELSEWHERE) == []
 
 
-def test_a_module_without_a_test_file_is_caught(tmp_path: Path) -> None:
+def test_a_module_without_a_test_file_is_caught(tmp_path: Path):
     source, tests = build(tmp_path / "src", {}), tmp_path / "tests"
     (tests / "rooms").mkdir(parents=True)
     for name in ("test_ground.py", "rooms/test_one.py", "rooms/test_two.py"):
@@ -191,7 +191,7 @@ def test_a_module_without_a_test_file_is_caught(tmp_path: Path) -> None:
     ]
 
 
-def test_files_and_functions_are_short() -> None:
+def test_files_and_functions_are_short():
     assert oversized(SOURCE) == []
 
 
@@ -216,7 +216,7 @@ def build(folder: Path, changes: dict[str, str]) -> Path:
     return folder
 
 
-def test_a_sound_layout_passes(tmp_path: Path) -> None:
+def test_a_sound_layout_passes(tmp_path: Path):
     sample = build(tmp_path, {"doors.a": "def run():\n    import foveate.rooms.two as two"})
     assert violations(sample, SAMPLE_ORDER) == []
     assert oversized(sample) == []
@@ -240,7 +240,7 @@ def test_a_sound_layout_passes(tmp_path: Path) -> None:
         ({"attic.__init__": "", "attic.box": ""}, "attic.box has no place in ORDER"),
     ],
 )
-def test_an_unsound_layout_is_caught(tmp_path: Path, changes: dict[str, str], complaint: str) -> None:
+def test_an_unsound_layout_is_caught(tmp_path: Path, changes: dict[str, str], complaint: str):
     base = {"doors.__init__": ""}
     assert complaint in violations(build(tmp_path, {**base, **changes}), SAMPLE_ORDER)
 
@@ -253,5 +253,5 @@ def test_an_unsound_layout_is_caught(tmp_path: Path, changes: dict[str, str], co
         ("def f():\n def g():\n  def h():\n   pass\n", "ground.h: nested 3 deep"),
     ],
 )
-def test_oversize_is_caught(tmp_path: Path, text: str, complaint: str) -> None:
+def test_oversize_is_caught(tmp_path: Path, text: str, complaint: str):
     assert complaint in oversized(build(tmp_path, {"ground": text}))

@@ -8,13 +8,13 @@ from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
 
 
-def test_tables_have_these_keys() -> None:
+def test_tables_have_these_keys():
     assert tuple(presets.PRESETS) == names.PRESETS
     assert tuple(presets.LEARNERS) == names.LEARNERS
     assert tuple(PROTOCOLS) == get_args(names.ProtocolName)
     assert ("policy", *names.HEURISTICS) == names.METHODS
 
 
-def test_every_heuristic_can_be_made() -> None:
+def test_every_heuristic_can_be_made():
     problem = presets.PRESETS["paper"].scenario.problem()
     assert all(isinstance(heuristic(name, problem, 2.0), Policy) for name in names.HEURISTICS)

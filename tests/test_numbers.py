@@ -139,6 +139,7 @@ def test_in_other_units_of_length_the_score_is_the_same_but_for_the_units(scale,
     assert count or float(other.score) == 0.0
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(count=COUNTS, seed=SEEDS)
 def test_a_policy_in_the_body_frame_ignores_origin_order_and_padding(count, seed):

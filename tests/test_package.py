@@ -48,7 +48,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_wheel_is_whole_and_runs(built: Path) -> None:
+def test_the_wheel_is_whole_and_runs(built: Path):
     """Types, stub, trained presets and nothing else; unpacked, it decides as the source does."""
     (wheel,) = built.glob("*.whl")
     assert wheel.name == f"foveate-{foveate.__version__}-py3-none-any.whl"
@@ -82,7 +82,7 @@ def files_of_the_package() -> list[Path]:
 
 
 @pytest.mark.slow
-def test_the_sdist_has_all_files_of_a_build(built: Path) -> None:
+def test_the_sdist_has_all_files_of_a_build(built: Path):
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
@@ -92,7 +92,7 @@ def test_the_sdist_has_all_files_of_a_build(built: Path) -> None:
     assert {"src/foveate/experiment/trained/paper/record.json", "examples/python_api.py"} <= names
 
 
-def test_the_trained_presets_are_small_and_of_their_presets() -> None:
+def test_the_trained_presets_are_small_and_of_their_presets():
     assert sorted(path.name for path in TRAINED.iterdir()) == sorted(PRESETS)
     sizes = 0
     for name, preset in PRESETS.items():
@@ -108,7 +108,7 @@ def test_the_trained_presets_are_small_and_of_their_presets() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_trained_preset_has_its_recorded_score_and_decides_as_the_simulation(preset: str) -> None:
+def test_a_trained_preset_has_its_recorded_score_and_decides_as_the_simulation(preset: str):
     """Every third decision of a scene, from the beliefs before it and the known inputs, as a user would ask for it."""
     script = runpy.run_path(str(ROOT / "experiments" / "trained_presets.py"))
     suite, trace = script["played"](preset)
@@ -125,7 +125,7 @@ def test_a_trained_preset_has_its_recorded_score_and_decides_as_the_simulation(p
     assert len(policy.axes) == commands[0].size
 
 
-def test_a_run_of_a_presets_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_of_a_presets_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     Path("paper").mkdir()  # a manuscript, say
     assert run_folder("paper") == TRAINED / "paper"
@@ -134,7 +134,7 @@ def test_a_run_of_a_presets_name_comes_first(tmp_path: Path, monkeypatch: pytest
     assert foveate.load("best").experiment == PRESETS["paper"]
 
 
-def test_the_citation_is_of_this_version_and_of_the_paper() -> None:
+def test_the_citation_is_of_this_version_and_of_the_paper():
     found = yaml_of(ROOT / "CITATION.cff")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert (found["cff-version"], found["version"]) == ("1.2.0", foveate.__version__)
@@ -150,7 +150,7 @@ def yaml_of(path: Path) -> Any:
     return yaml.YAML(typ="safe").load(path.read_text(encoding="utf-8"))
 
 
-def test_the_continuous_integration_runs_existing_targets() -> None:
+def test_the_continuous_integration_runs_existing_targets():
     """Targets of the Makefile, every Python of the metadata, and torch in one job alone."""
     jobs = yaml_of(ROOT / ".github" / "workflows" / "ci.yml")["jobs"]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -166,7 +166,7 @@ def test_the_continuous_integration_runs_existing_targets() -> None:
     assert all(re.fullmatch(r"actions/[\w-]+@v\d+", action) for action in actions), "official ones, by major tag"
 
 
-def test_hooks_before_a_commit_are_local() -> None:
+def test_hooks_before_a_commit_are_local():
     """They run tools of the development environment, and fetch nothing."""
     config = yaml_of(ROOT / ".pre-commit-config.yaml")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -181,7 +181,7 @@ def test_hooks_before_a_commit_are_local() -> None:
 @pytest.mark.parametrize(
     "form", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda form: form.stem
 )
-def test_issue_forms_have_their_required_fields(form: Path) -> None:
+def test_issue_forms_have_their_required_fields(form: Path):
     found = yaml_of(form)
     assert found["name"]
     assert found["description"]

@@ -64,7 +64,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
-def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]) -> None:
+def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]):
     """By the command line itself, by the Makefile, by pyproject.toml. What they do is tested with each of them."""
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
@@ -87,7 +87,7 @@ def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]) -> 
 
 
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
-def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path) -> None:
+def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path):
     """Scenes, recordings and configurations; and a block in a language that no test here takes would be missed."""
     known = {"sh", "python", "toml", "json", "csv", "text"}
     assert {kind for kind, _ in FENCE.findall(page.read_text(encoding="utf-8"))} <= known
@@ -102,7 +102,7 @@ def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path) -> None:
         assert from_table(Experiment, tomllib.loads(text), page.name)
 
 
-def test_the_python_of_every_page_runs_somewhere() -> None:
+def test_the_python_of_every_page_runs_somewhere():
     told = {page.name for page in PAGES if blocks(page, "python")}
     assert told == {*RUN_ELSEWHERE, *RUN_HERE, *QUOTED}
     for name, test in RUN_ELSEWHERE.items():
@@ -146,7 +146,7 @@ def run_python(page: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     page = ROOT / "docs" / "tutorial.md"
     fresh(reader / "trained" / "true-view", "true-view")
     left = run_python(page)
@@ -164,12 +164,12 @@ def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.slow
-def test_the_page_of_the_python_functions_runs() -> None:
+def test_the_page_of_the_python_functions_runs():
     assert run_python(ROOT / "docs" / "api.md")["foveate"] is foveate
 
 
 @pytest.mark.slow
-def test_the_page_on_space_runs(reader: Path) -> None:
+def test_the_page_on_space_runs(reader: Path):
     fresh(reader / "trained" / "quadrotor", "quadrotor")
     left = run_python(ROOT / "docs" / "space.md")
     assert left["policy"].axes == ("vx", "vy", "vz", "wz")
@@ -177,12 +177,12 @@ def test_the_page_on_space_runs(reader: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     run_python(ROOT / "docs" / "comparison.md")
     assert "NearAndUncertain on table1" in capsys.readouterr().out
 
 
-def test_the_demo_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """One epoch; the table is whole, and the pictures are there."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "1")

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 GENERATOR = ROOT / "docs" / "generator"
 
 
-def test_every_key_of_every_preset_stands_on_the_page_with_its_default() -> None:
+def test_every_key_of_every_preset_stands_on_the_page_with_its_default():
     text = configuration_page.page()
     for preset in PRESETS.values():
         for name, table in (("scenario", preset.scenario), ("policy", preset.policy), ("training", preset.training)):
@@ -29,12 +29,12 @@ def test_every_key_of_every_preset_stands_on_the_page_with_its_default() -> None
     assert "| `W` | matrix | left out |" in text
 
 
-def test_every_key_is_explained() -> None:
+def test_every_key_is_explained():
     unexplained = {kind.__name__: configuration_page.untold(kind) for _, kind in configuration_page.tables()}
     assert not {name: keys for name, keys in unexplained.items() if keys}
 
 
-def test_a_key_without_explanation_is_found() -> None:
+def test_a_key_without_explanation_is_found():
     @dataclass
     class Bare:
         """Has a `named` key."""
@@ -59,11 +59,11 @@ def test_a_key_without_explanation_is_found() -> None:
         ("targets", ""),
     ],
 )
-def test_units(key: str, unit: str) -> None:
+def test_units(key: str, unit: str):
     assert configuration_page.unit(key) == unit
 
 
-def test_every_option_of_every_command_stands_on_the_page() -> None:
+def test_every_option_of_every_command_stands_on_the_page():
     text = commands_page.page()
     for name, kind in COMMANDS.items():
         assert f"## foveate {name}\n" in text
@@ -98,7 +98,7 @@ def laid_out(root: Path, page: str) -> Path:
     return root
 
 
-def test_links_to_code_lead_to_its_line_on_a_page(tmp_path: Path) -> None:
+def test_links_to_code_lead_to_its_line_on_a_page(tmp_path: Path):
     gather.gather(laid_out(tmp_path / "in", PAGE), tmp_path / "out", {"docs/made.md": "[other](other.md)"})
     text = (tmp_path / "out" / "docs" / "page.md").read_text(encoding="utf-8")
     assert text == PAGE.replace("../code.py)", "../code.py.md#__codelineno-0-5)")
@@ -108,14 +108,14 @@ def test_links_to_code_lead_to_its_line_on_a_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("target", ["gone.md", "../gone.py", "../../outside.md"])
-def test_a_broken_link_is_named(tmp_path: Path, target: str) -> None:
+def test_a_broken_link_is_named(tmp_path: Path, target: str):
     (tmp_path / "outside.md").write_text("", encoding="utf-8")
     root = laid_out(tmp_path / "in", f"[this]({target})\n")
     with pytest.raises(ValueError, match=rf"docs/page.md: {target}: expected a file of the repository"):
         gather.gather(root, tmp_path / "out", {})
 
 
-def test_formulas_become_mathml_and_sound_pages_pass(tmp_path: Path) -> None:
+def test_formulas_become_mathml_and_sound_pages_pass(tmp_path: Path):
     finish = finished()
     inline = r'<span class="arithmatex">\(\tfrac12 &lt; \mathcal N \mathbb H\)</span>.'
     (tmp_path / "a.html").write_text(f'{inline}<a href="b.html#here">b</a><div class="arithmatex">\\[x\\]</div>')
@@ -142,13 +142,13 @@ def test_formulas_become_mathml_and_sound_pages_pass(tmp_path: Path) -> None:
         ('<img src="gone.png">', "nothing at gone.png"),
     ],
 )
-def test_an_unsound_page_is_named(tmp_path: Path, html: str, fault: str) -> None:
+def test_an_unsound_page_is_named(tmp_path: Path, html: str, fault: str):
     (tmp_path / "a.html").write_text(html)
     with pytest.raises(ValueError, match=f"a.html: {fault}"):
         finished().finish(tmp_path)
 
 
-def test_a_style_that_loads_from_elsewhere_is_named(tmp_path: Path) -> None:
+def test_a_style_that_loads_from_elsewhere_is_named(tmp_path: Path):
     (tmp_path / "a.css").write_text("@import 'https://example.org/font.css'; b { src: url(own.woff) }")
     with pytest.raises(ValueError, match=r"a\.css: loads https://example\.org/font\.css"):
         finished().finish(tmp_path)
@@ -163,7 +163,7 @@ def finished() -> ModuleType:
 
 
 @pytest.mark.slow
-def test_the_site_builds(tmp_path: Path) -> None:
+def test_the_site_builds(tmp_path: Path):
     """Strictly: dead links, anchors and cross-references of any page, or docstring, would be rejected."""
     pytest.importorskip("zensical", reason="needs the extra docs")
     finished()

@@ -4,6 +4,7 @@ import json
 import re
 import resource
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import foveate
 from foveate.cli.main import main
 
 ROOT = Path(__file__).parents[2]
+FORMATS = ROOT / "tests" / "formats"
 PAGE = ROOT / "docs" / "recordings.md"
 CSV = "time_s,track_id,x_m,y_m\n"
 
@@ -51,7 +53,13 @@ def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-def test_help_needs_no_jax_and_names_every_command() -> None:
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nothing is trained for."""
+    return Path(shutil.copytree(FORMATS / "policy-gradient", tmp_path_factory.mktemp("stored") / "run"))
+
+
+def test_help_needs_no_jax_and_names_every_command():
     code = "import sys\nfrom foveate.cli.main import main\ntry: main(['--help'])\nfinally: print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip().endswith("False")
@@ -59,14 +67,14 @@ def test_help_needs_no_jax_and_names_every_command() -> None:
         assert command in done.stdout
 
 
-def test_module_runs_as_the_command() -> None:
+def test_module_runs_as_the_command():
     done = subprocess.run([sys.executable, "-m", "foveate", "--version"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, f"foveate {foveate.__version__}\n")
     done = subprocess.run([sys.executable, "-m", "foveate", "fit", "none.csv"], capture_output=True, check=False)
     assert done.returncode == 2
 
 
-def test_help_answers_at_once() -> None:
+def test_help_answers_at_once():
     """Under 0.5 s on a free machine: processor time, of the quickest of three, does not grow with other work on it."""
 
     def seconds() -> float:
@@ -81,7 +89,7 @@ def test_help_answers_at_once() -> None:
 @pytest.mark.parametrize("error", [ValueError("shapes (2,) and (3,)"), OverflowError("too large"), KeyError("x")])
 def test_a_bug_shows_its_traceback(
     error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     """Any exception but InputError and OSError: exit status 70, and a traceback with --debug only."""
 
     def fails(*_: object, **__: object) -> None:
@@ -97,7 +105,7 @@ def test_a_bug_shows_its_traceback(
     assert "in fails\n" in capsys.readouterr().err
 
 
-def test_debug_shows_where_wrong_input_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_debug_shows_where_wrong_input_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     missing = str(tmp_path / "missing.csv")
     assert main(["fit", missing, "--debug", "--out", str(tmp_path / "x.toml")]) == 2
     said = capsys.readouterr().err
@@ -105,7 +113,7 @@ def test_debug_shows_where_wrong_input_was_found(tmp_path: Path, capsys: pytest.
     assert said.strip().splitlines()[-1].startswith(f"foveate: {missing}: no such file")
 
 
-def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.CaptureFixture[str]):
     for arguments in (["--help"], ["fit", "--help"]):
         with pytest.raises(SystemExit, match="0"):
             main(arguments)
@@ -116,7 +124,8 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
     assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
 
-def test_run_folder_holds_its_documented_files(run: Path) -> None:
+@pytest.mark.slow
+def test_run_folder_holds_its_documented_files(run: Path):
     names = {path.name for path in run.iterdir()}
     assert {"config.toml", "metrics.jsonl", "checkpoint"} <= names
     assert any(name.startswith("events.out.tfevents") for name in names)
@@ -125,7 +134,7 @@ def test_run_folder_holds_its_documented_files(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path) -> None:
+def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path):
     scenes = tmp_path / "scenes.json"
     rows = [
         {"id": "two", "agent": [0, 0, 0.5], "targets": [[1, 1], [-5, 2]], "drift": [[0.1, 0], [0, 0]], "horizon": 4},
@@ -164,7 +173,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_plan_writes_rows_that_keep_the_contract(
     options: tuple[str, ...], method: str, run: Path, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     out = tmp_path / "out.json"
     arguments = ["plan", "--scenes", str(scenes), "--run", str(run), *options, "--protocol", "true", "--json", str(out)]
@@ -182,20 +191,20 @@ def test_plan_writes_rows_that_keep_the_contract(
 
 
 def test_plan_rejects_scenes_that_do_not_fit(
-    run: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    stored: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     plan = ("plan", "--scenes", str(scenes))
     assert "--starts 0: expected >= 1" in failure(capsys, *plan, "--starts", "0")
     assert "--iterations 0" in failure(capsys, *plan, "--iterations", "0")
     assert "--window 0" in failure(capsys, *plan, "--window", "0")
     assert "--window 5" in failure(capsys, *plan, "--window", "5", "--omniscient")
-    assert "give one of them" in failure(capsys, *plan, "--preset", "best", "--run", str(run))
+    assert "give one of them" in failure(capsys, *plan, "--preset", "best", "--run", str(stored))
     assert "--episodes 0" in failure(capsys, *plan, "--episodes", "0")
     assert "--refine 3: expected the policy to refine" in failure(capsys, *plan, "--refine", "3")
-    assert "--refine 0" in failure(capsys, *plan, "--run", str(run), "--refine", "0")
-    assert "no other option" in failure(capsys, *plan, "--run", str(run), "--refine", "3", "--starts", "2")
+    assert "--refine 0" in failure(capsys, *plan, "--run", str(stored), "--refine", "0")
+    assert "no other option" in failure(capsys, *plan, "--run", str(stored), "--refine", "3", "--starts", "2")
     assert "--omniscient" in failure(capsys, *plan, "--omniscient", "--open-loop")
-    assert "give one of them" in failure(capsys, *plan, "--run", str(run), "--config", str(run / "config.toml"))
+    assert "give one of them" in failure(capsys, *plan, "--run", str(stored), "--config", str(stored / "config.toml"))
     assert "expected a preset (paper" in failure(capsys, *plan, "--preset", "nobody")
     assert "nowhere" in failure(capsys, *plan, "--run", str(tmp_path / "nowhere"))
     assert "no such file" in failure(capsys, "plan", "--scenes", str(tmp_path / "missing.json"))
@@ -203,7 +212,7 @@ def test_plan_rejects_scenes_that_do_not_fit(
 
 
 @pytest.mark.slow
-def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> None:
+def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path):
     out = tmp_path / "replay"
     places = {"walkers.csv": recording, "runs/walkers": run, "runs/walkers/replay": out}
     assert main([*of_the_page("replay", places), "--method", "policy", "still"]) == 0
@@ -214,9 +223,7 @@ def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path) -> 
     check_contract("replay", out / "replay.json")
 
 
-def test_wrong_input_is_one_line(
-    run: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_input_is_one_line(stored: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     bad = tmp_path / "bad.csv"
     bad.write_text(CSV + "0,a,1,nan\n")
     config = tmp_path / "bad.toml"
@@ -225,33 +232,31 @@ def test_wrong_input_is_one_line(
     unknown.write_text("[training]\nepoch = 3\n")
     assert "nowhere" in failure(capsys, "evaluate", "nowhere")
     assert "presets are paper" in failure(capsys, "evaluate", "nowhere")
-    assert "expected one of" in failure(capsys, "evaluate", str(run), "--method", "psychic")
-    assert "--episodes 0" in failure(capsys, "evaluate", str(run), "--episodes", "0")
+    assert "expected one of" in failure(capsys, "evaluate", str(stored), "--method", "psychic")
+    assert "--episodes 0" in failure(capsys, "evaluate", str(stored), "--episodes", "0")
     many = str(10**30)  # more than any array or counter holds
-    assert f"--episodes {many}: expected <=" in failure(capsys, "evaluate", str(run), "--episodes", many)
+    assert f"--episodes {many}: expected <=" in failure(capsys, "evaluate", str(stored), "--episodes", many)
     assert f"--episodes = {many}: expected <=" in failure(capsys, "train", "--episodes", many)
     assert f"--window = {many}: expected <=" in failure(capsys, "train", "--window", many)
     assert f"--starts {many}: expected <=" in failure(capsys, "plan", "--starts", many)
-    assert "bad.csv" in failure(capsys, "replay", str(run), str(bad))
-    assert "--agent-start 1,2" in failure(capsys, "replay", str(run), str(recording), "--agent-start", "1,2")
-    assert "spans" in failure(capsys, "replay", str(run), str(recording), "--start", "1000")
+    assert "bad.csv" in failure(capsys, "replay", str(stored), str(bad))
+    assert "--agent-start 1,2" in failure(capsys, "replay", str(stored), str(recording), "--agent-start", "1,2")
+    assert "spans" in failure(capsys, "replay", str(stored), str(recording), "--start", "1000")
     assert "depth_m = 0.0" in failure(capsys, "train", "--config", str(config), "--out", str(tmp_path / "x"))
     assert "epochs" in failure(capsys, "train", "--config", str(unknown), "--out", str(tmp_path / "x"))
     assert not (tmp_path / "x").exists()
-    assert "exists already" in failure(capsys, "train", "--out", str(run))
-    assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(run / "config.toml"))
-    assert "no folder" in failure(capsys, "evaluate", str(run), "--json", str(tmp_path / "no" / "x.json"))
-    assert "--scene-seed -1" in failure(capsys, "evaluate", str(run), "--scene-seed", "-1")
+    assert "exists already" in failure(capsys, "train", "--out", str(stored))
+    assert "exists already" in failure(capsys, "fit", str(recording), "--out", str(stored / "config.toml"))
+    assert "no folder" in failure(capsys, "evaluate", str(stored), "--json", str(tmp_path / "no" / "x.json"))
+    assert "--scene-seed -1" in failure(capsys, "evaluate", str(stored), "--scene-seed", "-1")
     twice = ("--method", "still", "--method", "random")
-    assert "--method: is given twice" in failure(capsys, "evaluate", str(run), *twice)
-    assert "--seed and --resume" in failure(capsys, "train", "--resume", str(run), "--seed", "5")
+    assert "--method: is given twice" in failure(capsys, "evaluate", str(stored), *twice)
+    assert "--seed and --resume" in failure(capsys, "train", "--resume", str(stored), "--seed", "5")
     assert "--tau" in failure(capsys, "fit", str(recording), "--out", str(tmp_path / "f.toml"), "--tau", "0")
 
 
 @pytest.mark.slow
-def test_a_recording_in_space_is_fitted_trained_and_replayed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_in_space_is_fitted_trained_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """A recording with z, its fit, a training of one epoch, its scenes, its replay and pictures of both."""
     recording, config, run = tmp_path / "birds.csv", tmp_path / "birds.toml", tmp_path / "run"
     rows = [f"{0.5 * k},a,{-5 + 0.5 * k},2,{1 + 0.1 * k}\n{0.5 * k},b,1,{4 - 0.4 * k},2\n" for k in range(24)]
@@ -277,13 +282,13 @@ def test_a_recording_in_space_is_fitted_trained_and_replayed(
     assert "planar" in failure(capsys, "evaluate", str(run), "--scenes", "table1")
 
 
-def test_render_names_unsupported_input(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_names_unsupported_input(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     gif = str(tmp_path / "x.gif")
-    assert ".gif, .mp4, .png" in failure(capsys, "render", str(run), "--out", str(tmp_path / "x.txt"))
-    assert "no such scene" in failure(capsys, "render", str(run), "--out", gif, "--scene", "nobody")
+    assert ".gif, .mp4, .png" in failure(capsys, "render", str(stored), "--out", str(tmp_path / "x.txt"))
+    assert "no such scene" in failure(capsys, "render", str(stored), "--out", gif, "--scene", "nobody")
     two = ("--scene", "biased-3-00", "biased-5-00")
-    assert "one scene" in failure(capsys, "render", str(run), "--out", gif, *two)
-    assert "--method all" in failure(capsys, "render", str(run), "--out", gif, "--method", "all")
+    assert "one scene" in failure(capsys, "render", str(stored), "--out", gif, *two)
+    assert "--method all" in failure(capsys, "render", str(stored), "--out", gif, "--method", "all")
     assert not list(tmp_path.iterdir())
 
 
@@ -291,7 +296,7 @@ def test_render_names_unsupported_input(run: Path, tmp_path: Path, capsys: pytes
 @pytest.mark.torch
 def test_ppo_trains_a_run_that_evaluates(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     """A config of PPO with next to no training; what it leaves is judged without torch, and does not go on."""
     pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
     config, run = tmp_path / "small.toml", tmp_path / "run"
@@ -313,22 +318,19 @@ def test_ppo_trains_a_run_that_evaluates(
     assert not (tmp_path / "x").exists()
 
 
-def test_an_algorithm_and_its_counts_belong_together(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_algorithm_and_its_counts_belong_together(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = ("--out", str(tmp_path / "x"))
     assert "steps 10: this algorithm" in failure(capsys, "train", "--steps", "10", *out)
     assert "expected steps" in failure(capsys, "train", "--algorithm", "ppo", "--episodes", "10", *out)
     assert "steps = 0: expected >= 1" in failure(capsys, "train", "--algorithm", "ppo-tuned", "--steps", "0", *out)
-    assert "--algorithm and --resume" in failure(capsys, "train", "--algorithm", "ppo", "--resume", str(run))
+    assert "--algorithm and --resume" in failure(capsys, "train", "--algorithm", "ppo", "--resume", str(stored))
     assert not (tmp_path / "x").exists()
 
 
-def test_a_damaged_checkpoint_is_named(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import shutil
+def test_a_damaged_checkpoint_is_named(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
 
     copy = tmp_path / "copy"
-    shutil.copytree(run, copy)
+    shutil.copytree(stored, copy)
     best = copy / "checkpoint" / "best.npz"
     best.write_bytes(best.read_bytes()[:-100])
     assert "best.npz" in failure(capsys, "evaluate", str(copy))

@@ -50,7 +50,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "a" / "out"
     arguments = ["reproduce", "--quick", "--out", str(out), "--add", f"{OWN}:METHOD"]
     assert main(arguments) == 0
@@ -77,7 +77,7 @@ def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.slow
 def test_reproduce_for_the_true_view(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     """Both first errors, the true protocol alone, a world that differs; the contract holds."""
     ceiling, learned = study.paper_methods(study.QUICK)
     uncertain = Fixed(name="uncertain", make=lambda world: heuristic("uncertain", world.scenario.problem(), 2.0))
@@ -154,7 +154,7 @@ def _check_data(data: dict) -> None:
 
 def test_an_interrupt_prints_how_to_continue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -163,7 +163,7 @@ def test_an_interrupt_prints_how_to_continue(
     assert "the same command continues" in " ".join(capsys.readouterr().err.split())
 
 
-def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "file").write_text("")
     (tmp_path / "own.py").write_text("METHOD = 3\n")
     out = ("--out", str(tmp_path / "out"))
@@ -178,7 +178,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.slow
-def test_evaluate_prints_normalised_scores(tmp_path: Path) -> None:
+def test_evaluate_prints_normalised_scores(tmp_path: Path):
     scenes, out = tmp_path / "scenes.json", tmp_path / "out.json"
     row = {"id": "one", "agent": [0, 0, 0.5], "targets": [[4.6, 2.5], [9, 9]], "horizon": 3}
     scenes.write_text(json.dumps({"format": "foveate-scenes", "version": 1, "scenes": [row]}))

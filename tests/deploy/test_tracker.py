@@ -235,6 +235,7 @@ def test_wrong_input_is_named():
         tracker.update(np.zeros(3), {"a": [0, 0, 0]})
 
 
+@pytest.mark.slow
 def test_the_example_runs(tmp_path):
     experiment = Experiment(policy=AttentionSettings(agent_widths=(4,), target_widths=(4,), out_widths=(4,)))
     (tmp_path / "checkpoint").mkdir()

@@ -64,6 +64,7 @@ def same(one, other):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.DISABLED], ids=str)
 def test_the_vector_environment_is_single_ones_side_by_side(mode):
     """Gymnasium's `SyncVectorEnv` over single environments, step by step, through several ends of episodes."""

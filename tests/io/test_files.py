@@ -13,7 +13,7 @@ from foveate.io import files
 from foveate.io.files import read_bytes, read_json, write_atomic, write_json
 
 
-def test_write_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path) -> None:
+def test_write_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path):
     path = tmp_path / "result.json"
     write_atomic(path, b"old")
     write_atomic(path, b"new")
@@ -21,16 +21,14 @@ def test_write_replaces_the_old_content_and_leaves_no_other_file(tmp_path: Path)
     assert os.listdir(tmp_path) == ["result.json"]
 
 
-def test_write_gives_the_permissions_of_an_ordinary_file(tmp_path: Path) -> None:
+def test_write_gives_the_permissions_of_an_ordinary_file(tmp_path: Path):
     (tmp_path / "ordinary").write_bytes(b"")
     write_atomic(tmp_path / "atomic", b"")
     assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_failed_write_keeps_the_old_file_and_cleans_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
-) -> None:
+def test_failed_write_keeps_the_old_file_and_cleans_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str):
     def fail(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -45,7 +43,7 @@ def test_failed_write_keeps_the_old_file_and_cleans_up(
 
 def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_return(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     seen = []
     fsync, replace = os.fsync, os.replace
 
@@ -64,7 +62,7 @@ def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_return(
     assert seen == ["file", "replace", "folder"]
 
 
-def test_readers_do_not_see_a_partial_file(tmp_path: Path) -> None:
+def test_readers_do_not_see_a_partial_file(tmp_path: Path):
     path = tmp_path / "result"
     contents = {letter * 100_000 for letter in (b"a", b"b")}
     write_atomic(path, b"a" * 100_000)
@@ -75,7 +73,7 @@ def test_readers_do_not_see_a_partial_file(tmp_path: Path) -> None:
     writer.join()
 
 
-def test_write_follows_a_link_and_leaves_devices_alone(tmp_path: Path) -> None:
+def test_write_follows_a_link_and_leaves_devices_alone(tmp_path: Path):
     (tmp_path / "target").write_bytes(b"old")
     (tmp_path / "link").symlink_to("target")
     write_atomic(tmp_path / "link", b"new")
@@ -86,7 +84,7 @@ def test_write_follows_a_link_and_leaves_devices_alone(tmp_path: Path) -> None:
     assert (tmp_path / "null").is_char_device()
 
 
-def test_write_rejects_a_folder_and_a_missing_folder(tmp_path: Path) -> None:
+def test_write_rejects_a_folder_and_a_missing_folder(tmp_path: Path):
     with pytest.raises(ValueError, match="is a folder; name a file"):
         write_atomic(tmp_path, b"")
     with pytest.raises(ValueError, match=r"there is no folder .*absent"):
@@ -102,14 +100,14 @@ json_values = st.recursive(
 
 @settings(deadline=None, max_examples=50)
 @given(value=json_values)
-def test_json_round_trip(tmp_path_factory: pytest.TempPathFactory, value: object) -> None:
+def test_json_round_trip(tmp_path_factory: pytest.TempPathFactory, value: object):
     path = tmp_path_factory.getbasetemp() / "value.json"
     write_json(path, value)
     assert read_json(path, "value") == value
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_json_rejects_numbers_that_are_not_finite(tmp_path: Path, number: float) -> None:
+def test_json_rejects_numbers_that_are_not_finite(tmp_path: Path, number: float):
     path = tmp_path / "rows.json"
     with pytest.raises(ValueError, match=r"rows\.json: cannot be written: .*use null"):
         write_json(path, {"rows": [{"score": number}]})
@@ -132,7 +130,7 @@ def test_json_rejects_numbers_that_are_not_finite(tmp_path: Path, number: float)
         (b"[" * 100_000, "is not a usable scenes file"),
     ],
 )
-def test_json_error_names_the_fault_and_the_expected(tmp_path: Path, content: bytes, problem: str) -> None:
+def test_json_error_names_the_fault_and_the_expected(tmp_path: Path, content: bytes, problem: str):
     path = tmp_path / "scenes.json"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=rf"scenes\.json: .*{problem}") as caught:
@@ -141,7 +139,7 @@ def test_json_error_names_the_fault_and_the_expected(tmp_path: Path, content: by
     assert "Error" not in str(caught.value)
 
 
-def test_json_may_start_with_a_byte_order_mark(tmp_path: Path) -> None:
+def test_json_may_start_with_a_byte_order_mark(tmp_path: Path):
     (tmp_path / "scenes.json").write_bytes(b"\xef\xbb\xbf{}")
     assert read_json(tmp_path / "scenes.json", "scenes file") == {}
 
@@ -156,7 +154,7 @@ def test_json_may_start_with_a_byte_order_mark(tmp_path: Path) -> None:
         ("x" * 300, "cannot be read .*[Ff]ile name too long"),
     ],
 )
-def test_unreadable_file_is_one_line(tmp_path: Path, name: str, problem: str) -> None:
+def test_unreadable_file_is_one_line(tmp_path: Path, name: str, problem: str):
     with pytest.raises(ValueError, match=problem) as caught:
         read_bytes(tmp_path / name, "scenes file")
     assert len(str(caught.value).splitlines()) == 1

@@ -60,7 +60,7 @@ def rejection(path: Path, kind: str = "policy", newest: int = 2) -> str:
         max_size=3,
     )
 )
-def test_arrays_and_header_round_trip(tmp_path_factory: pytest.TempPathFactory, arrays: dict[str, np.ndarray]) -> None:
+def test_arrays_and_header_round_trip(tmp_path_factory: pytest.TempPathFactory, arrays: dict[str, np.ndarray]):
     path = tmp_path_factory.getbasetemp() / "any.npz"
     save_arrays(path, arrays, HEADER)
     header, loaded = load_arrays(path, "policy", 2)
@@ -68,7 +68,7 @@ def test_arrays_and_header_round_trip(tmp_path_factory: pytest.TempPathFactory, 
     assert same(loaded, arrays)
 
 
-def test_transposed_and_strided_arrays_keep_their_values(tmp_path: Path) -> None:
+def test_transposed_and_strided_arrays_keep_their_values(tmp_path: Path):
     base = np.arange(24).reshape(4, 6)
     save_arrays(tmp_path / "a.npz", {"turned": base.T, "every": base[::2, ::3]}, HEADER)
     _, loaded = load_arrays(tmp_path / "a.npz", "policy", 2)
@@ -76,19 +76,19 @@ def test_transposed_and_strided_arrays_keep_their_values(tmp_path: Path) -> None
     np.testing.assert_array_equal(loaded["every"], base[::2, ::3])
 
 
-def test_numpy_reads_the_file_without_us(tmp_path: Path) -> None:
+def test_numpy_reads_the_file_without_us(tmp_path: Path):
     with np.load(saved(tmp_path), allow_pickle=False) as archive:
         np.testing.assert_array_equal(archive["weight"], ARRAYS["weight"])
         assert archive["header"].dtype == np.uint8
 
 
-def test_same_content_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_same_content_gives_the_same_bytes(tmp_path: Path):
     first = saved(tmp_path).read_bytes()
     assert saved(tmp_path).read_bytes() == first
 
 
 @pytest.mark.parametrize("mask", [0xFF, 0x01, 0x08])
-def test_a_changed_byte_is_detected_or_harmless(tmp_path: Path, mask: int) -> None:
+def test_a_changed_byte_is_detected_or_harmless(tmp_path: Path, mask: int):
     path = saved(tmp_path)
     whole = path.read_bytes()
     errors = []
@@ -105,7 +105,7 @@ def test_a_changed_byte_is_detected_or_harmless(tmp_path: Path, mask: int) -> No
     assert len(errors) > 0.8 * len(whole)  # the rest are dates and hints that nobody reads
 
 
-def test_a_truncated_file_is_rejected_at_any_length(tmp_path: Path) -> None:
+def test_a_truncated_file_is_rejected_at_any_length(tmp_path: Path):
     path = saved(tmp_path)
     whole = path.read_bytes()
     for length in range(2, len(whole)):
@@ -113,7 +113,7 @@ def test_a_truncated_file_is_rejected_at_any_length(tmp_path: Path) -> None:
         assert "is cut short or damaged" in rejection(path)
 
 
-def test_changed_content_with_right_checksums_is_rejected(tmp_path: Path) -> None:
+def test_changed_content_with_right_checksums_is_rejected(tmp_path: Path):
     path = saved(tmp_path)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
@@ -126,13 +126,13 @@ def test_changed_content_with_right_checksums_is_rejected(tmp_path: Path) -> Non
     assert "is damaged" in rejection(with_members(path, other))
 
 
-def test_another_kind_and_a_newer_version_are_rejected(tmp_path: Path) -> None:
+def test_another_kind_and_a_newer_version_are_rejected(tmp_path: Path):
     path = saved(tmp_path)
     assert "has the format 'foveate-policy'; expected 'foveate-scenes'" in rejection(path, kind="scenes")
     assert "has version 2; this foveate reads 1 to 1" in rejection(path, newest=1)
 
 
-def test_missing_and_foreign_files_are_rejected(tmp_path: Path) -> None:
+def test_missing_and_foreign_files_are_rejected(tmp_path: Path):
     assert "there is no such file; give the name of a policy file" in rejection(tmp_path / "absent.npz")
     assert "is a folder" in rejection(tmp_path)
     path = tmp_path / "foreign.npz"
@@ -144,13 +144,13 @@ def test_missing_and_foreign_files_are_rejected(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [b"[]", b"{", b"\xff", b"null"])
-def test_a_header_that_is_no_table_is_rejected(tmp_path: Path, text: bytes) -> None:
+def test_a_header_that_is_no_table_is_rejected(tmp_path: Path, text: bytes):
     np.savez(tmp_path / "odd.npz", header=np.frombuffer(text, np.uint8))
     rejection(tmp_path / "odd.npz")
 
 
 @pytest.mark.parametrize("version", [0, "2", True, None, 1.0])
-def test_a_version_that_is_no_whole_number_is_rejected(tmp_path: Path, version: Any) -> None:
+def test_a_version_that_is_no_whole_number_is_rejected(tmp_path: Path, version: Any):
     text = f'{{"format": "foveate-policy", "version": {"null" if version is None else repr(version).lower()}}}'
     np.savez(tmp_path / "odd.npz", header=np.frombuffer(text.replace("'", '"').encode(), np.uint8))
     assert "expected a whole number from 1 to 2" in rejection(tmp_path / "odd.npz")
@@ -168,7 +168,7 @@ class Trap:
         return Path.touch, (self.mark,)
 
 
-def test_pickles_are_never_executed(tmp_path: Path) -> None:
+def test_pickles_are_never_executed(tmp_path: Path):
     mark, path = tmp_path / "executed", tmp_path / "trap.npz"
     pickle.loads(pickle.dumps(Trap(mark)))
     assert mark.exists()
@@ -185,7 +185,7 @@ def test_pickles_are_never_executed(tmp_path: Path) -> None:
     assert not mark.exists()
 
 
-def test_archives_that_unpack_beyond_their_stated_size_are_rejected(tmp_path: Path) -> None:
+def test_archives_that_unpack_beyond_their_stated_size_are_rejected(tmp_path: Path):
     zeros = io.BytesIO()
     np.save(zeros, np.zeros(100_000))
     path = with_members(tmp_path / "bomb.npz", {"a.npy": zeros.getvalue()}, zipfile.ZIP_DEFLATED)
@@ -208,13 +208,13 @@ def test_archives_that_unpack_beyond_their_stated_size_are_rejected(tmp_path: Pa
 )
 def test_saving_rejects_arrays_that_do_not_round_trip(
     tmp_path: Path, arrays: dict[str, np.ndarray], header: dict[str, Any], problem: str
-) -> None:
+):
     with pytest.raises(ValueError, match=problem):
         save_arrays(tmp_path / "a.npz", arrays, {**HEADER, **header})
     assert not (tmp_path / "a.npz").exists()
 
 
-def test_bfloat16_is_rejected_because_npy_loses_it(tmp_path: Path) -> None:
+def test_bfloat16_is_rejected_because_npy_loses_it(tmp_path: Path):
     import ml_dtypes
 
     with pytest.raises(ValueError, match="'a' has the type bfloat16; expected a plain number"):

@@ -94,7 +94,7 @@ scenarios = st.builds(
 
 @settings(deadline=None, max_examples=50)
 @given(scenario=scenarios, header=st.text(st.characters(codec="ascii", exclude_categories=["Cc"])))
-def test_written_toml_reads_back_the_same(scenario: Scenario, header: str) -> None:
+def test_written_toml_reads_back_the_same(scenario: Scenario, header: str):
     text = dumps_toml(scenario, header)
     again = from_table(Scenario, tomllib.loads(text), "written")
     assert again == scenario
@@ -105,11 +105,11 @@ def test_written_toml_reads_back_the_same(scenario: Scenario, header: str) -> No
 
 @settings(deadline=None, max_examples=30)
 @given(one=scenarios, other=scenarios)
-def test_digest_tells_different_configurations_apart(one: Scenario, other: Scenario) -> None:
+def test_digest_tells_different_configurations_apart(one: Scenario, other: Scenario):
     assert (digest(one) == digest(other)) == (to_table(one) == to_table(other))
 
 
-def test_written_toml_is_as_a_person_would_write_it() -> None:
+def test_written_toml_is_as_a_person_would_write_it():
     scenario = Scenario(
         steps=9,
         drift=None,
@@ -147,13 +147,13 @@ def test_written_toml_is_as_a_person_would_write_it() -> None:
     ]
 
 
-def test_digest_is_the_same_in_every_process_and_for_equal_instances() -> None:
+def test_digest_is_the_same_in_every_process_and_for_equal_instances():
     assert digest(Triangle()) == "e24769e82953067c"
     assert digest(Triangle(depth=2)) == digest(Triangle())
     assert digest(Triangle(depth=2.5)) != digest(Triangle())
 
 
-def test_keys_left_out_take_their_defaults(tmp_path: Path) -> None:
+def test_keys_left_out_take_their_defaults(tmp_path: Path):
     path = tmp_path / "run.toml"
     path.write_text("steps = 3\ntau = 1\n[agent.view]\nshape = 'ball'\nradius = 3\n")
     loaded = load_toml(Scenario, path)
@@ -214,7 +214,7 @@ def test_keys_left_out_take_their_defaults(tmp_path: Path) -> None:
         (f"noise = {'[' * 10_000}", "is not TOML: "),
     ],
 )
-def test_wrong_input_is_named_in_one_line(tmp_path: Path, text: str, problem: str) -> None:
+def test_wrong_input_is_named_in_one_line(tmp_path: Path, text: str, problem: str):
     path = tmp_path / "run.toml"
     path.write_text(text)
     with pytest.raises(ValueError, match="run") as caught:
@@ -223,7 +223,7 @@ def test_wrong_input_is_named_in_one_line(tmp_path: Path, text: str, problem: st
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_unreadable_files_are_named_in_one_line(tmp_path: Path) -> None:
+def test_unreadable_files_are_named_in_one_line(tmp_path: Path):
     (tmp_path / "latin.toml").write_bytes(b"name = '\xe9'")
     for name, problem in [("absent", "no such file"), (".", "is a folder"), ("latin", "byte 8 is not UTF-8")]:
         path = tmp_path / (name if name == "." else f"{name}.toml")
@@ -233,7 +233,7 @@ def test_unreadable_files_are_named_in_one_line(tmp_path: Path) -> None:
         assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_refusal_of_the_whole_names_the_source_alone() -> None:
+def test_a_refusal_of_the_whole_names_the_source_alone():
     with pytest.raises(ValueError, match=r"^flags: radius = 0\.0: expected a positive number of metres$"):
         from_table(Ball, {"radius": 0}, "flags")
 
@@ -245,12 +245,12 @@ def test_a_refusal_of_the_whole_names_the_source_alone() -> None:
         (Agent(view=Triangle(depth=math.inf)), r"Agent: view\.depth = inf: expected a finite number"),
     ],
 )
-def test_writing_rejects_unreadable_values(instance: Any, problem: str) -> None:
+def test_writing_rejects_unreadable_values(instance: Any, problem: str):
     with pytest.raises(ValueError, match=problem):
         dumps_toml(instance)
 
 
-def test_none_is_written_only_where_it_is_the_default() -> None:
+def test_none_is_written_only_where_it_is_the_default():
     @dataclass(frozen=True, kw_only=True)
     class Limited:
         top: float | None = 1.0
@@ -263,7 +263,7 @@ def test_none_is_written_only_where_it_is_the_default() -> None:
         to_table(Limited(each=(None,)))
 
 
-def test_one_member_of_a_union_may_lack_the_tag() -> None:
+def test_one_member_of_a_union_may_lack_the_tag():
     """A second kind joins one whose tables, and digests, were made without a tag; both may share other fields."""
 
     @dataclass(frozen=True, kw_only=True)
@@ -295,7 +295,7 @@ def test_one_member_of_a_union_may_lack_the_tag() -> None:
         from_table(After, {"part": {"kind": "new", "count": 3}}, "test")
 
 
-def test_a_table_without_a_tag_means_the_member_that_has_a_default_for_it() -> None:
+def test_a_table_without_a_tag_means_the_member_that_has_a_default_for_it():
     @dataclass(frozen=True, kw_only=True)
     class Usual:
         kind: Literal["usual"] = "usual"
@@ -326,7 +326,7 @@ class HoldsRenamed:
     view: Renamed = Renamed()
 
 
-def test_old_key_is_read_as_the_new_one(tmp_path: Path) -> None:
+def test_old_key_is_read_as_the_new_one(tmp_path: Path):
     path = tmp_path / "run.toml"
     path.write_text("[view]\nbreadth = 3\n")
     assert load_toml(HoldsRenamed, path) == HoldsRenamed(view=Renamed(width=3.0))
@@ -336,7 +336,7 @@ def test_old_key_is_read_as_the_new_one(tmp_path: Path) -> None:
         load_toml(HoldsRenamed, path)
 
 
-def test_old_and_new_key_together_are_rejected(tmp_path: Path) -> None:
+def test_old_and_new_key_together_are_rejected(tmp_path: Path):
     path = tmp_path / "run.toml"
     path.write_text("[view]\nbreadth = 3\nwidth = 4\n")
     with pytest.raises(
@@ -345,7 +345,7 @@ def test_old_and_new_key_together_are_rejected(tmp_path: Path) -> None:
         load_toml(HoldsRenamed, path)
 
 
-def test_sealed_file_with_an_old_key_keeps_its_digest(tmp_path: Path) -> None:
+def test_sealed_file_with_an_old_key_keeps_its_digest(tmp_path: Path):
     @dataclass(frozen=True, kw_only=True)
     class Holds:
         breadth: float = 1.0
@@ -360,7 +360,7 @@ def test_sealed_file_with_an_old_key_keeps_its_digest(tmp_path: Path) -> None:
         load_toml(Renamed, path)
 
 
-def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours() -> None:
+def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours():
     @dataclass(frozen=True, kw_only=True)
     class Odd:
         table: dict[str, int] | None = None
@@ -372,6 +372,6 @@ def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours() -> None:
         from_table(Odd, {"either": 3}, "test")
 
 
-def test_reading_a_configuration_does_not_load_jax() -> None:
+def test_reading_a_configuration_does_not_load_jax():
     code = "import sys, foveate.io.toml; sys.exit('jax' in sys.modules or 'numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -92,6 +92,7 @@ def test_an_empty_or_full_view_gives_no_information(inside):
     np.testing.assert_array_equal(left.information, belief.information)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("absence", "is_honest"), [(None, False), ("used", True)])
 def test_a_filter_that_uses_missed_detections_is_consistent(absence, is_honest):
     """Targets anywhere about one who stands still; those count that were believed to be in view, and were not seen."""

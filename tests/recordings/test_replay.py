@@ -54,7 +54,7 @@ def inside(x: float, y: float) -> bool:
     return math.hypot(x, y) <= DEPTH and abs(math.degrees(math.atan2(y, x))) <= ANGLE / 2
 
 
-def test_a_still_agent_sees_the_targets_in_its_view(scenario, recording) -> None:
+def test_a_still_agent_sees_the_targets_in_its_view(scenario, recording):
     # Without the gate: `a` walks straight on, as this scenario does not expect.
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, gate=None)
     row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
@@ -107,7 +107,7 @@ def test_a_still_agent_sees_the_targets_in_its_view(scenario, recording) -> None
     np.testing.assert_allclose(row.nees_band, np.array(chi2.interval(0.95, 2 * count)) / count, rtol=0.05)
 
 
-def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
+def test_a_target_that_walks_away_unseen_is_lost(scenario, recording):
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
     row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
     assert row.seen_time_fraction == 0.0
@@ -121,7 +121,7 @@ def test_a_target_that_walks_away_unseen_is_lost(scenario, recording) -> None:
     np.testing.assert_allclose(trace.log_det[:, column], -2 * np.log(variance), rtol=1e-9)
 
 
-def test_a_belief_restarts_when_its_target_appears(scenario, recording) -> None:
+def test_a_belief_restarts_when_its_target_appears(scenario, recording):
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
     _, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
     index = ready.slots.track_index
@@ -133,7 +133,7 @@ def test_a_belief_restarts_when_its_target_appears(scenario, recording) -> None:
     assert (np.abs(error) > 0).all()
 
 
-def test_methods_get_the_same_noise_and_seeds_differ(scenario, recording) -> None:
+def test_methods_get_the_same_noise_and_seeds_differ(scenario, recording):
     one = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, seed=1)
     same = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, seed=1)
     other = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, seed=2)
@@ -141,7 +141,7 @@ def test_methods_get_the_same_noise_and_seeds_differ(scenario, recording) -> Non
     assert not jnp.array_equal(one.episode.truth.measurement_noise, other.episode.truth.measurement_noise)
 
 
-def test_starts(scenario, recording) -> None:
+def test_starts(scenario, recording):
     np.testing.assert_allclose(default_agent_start(recording, scenario), [2.0, 1.0, 0.0], atol=0.6)
     lower, upper = recording.extent
     starts = np.array(random_agent_starts(recording, scenario, 50, seed=3))
@@ -149,7 +149,7 @@ def test_starts(scenario, recording) -> None:
     assert np.ptp(starts[:, 2]) > 5.0
 
 
-def test_warnings_name_the_contradiction(scenario, recording) -> None:
+def test_warnings_name_the_contradiction(scenario, recording):
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0)
     said = " ".join(warnings_for(scenario, recording, ready.slots, 2.0))
     assert "up to 4 targets at once" in said
@@ -161,7 +161,7 @@ def test_warnings_name_the_contradiction(scenario, recording) -> None:
     assert "at once" not in said
 
 
-def test_states_must_begin_with_the_position(scenario, tmp_path) -> None:
+def test_states_must_begin_with_the_position(scenario, tmp_path):
     """Recorded positions would be taken for the velocities of a state that has them first."""
     path = tmp_path / "walk.csv"
     path.write_text("time_s,track_id,x_m,y_m\n0,a,1,2\n1,a,3,4\n")
@@ -179,7 +179,7 @@ def test_states_must_begin_with_the_position(scenario, tmp_path) -> None:
         prepare_replay(replace(scenario, target=backwards, scenes=scenes), load_recording(path), [0.0, 0.0, 0.0])
 
 
-def test_dimensions_must_agree(scenario, tmp_path) -> None:
+def test_dimensions_must_agree(scenario, tmp_path):
     path = tmp_path / "space.csv"
     path.write_text("time_s,track_id,x_m,y_m,z_m\n0,a,0,0,0\n1,a,0,0,1\n")
     with pytest.raises(ValueError, match="positions have 3 numbers"):

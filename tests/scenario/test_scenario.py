@@ -131,7 +131,7 @@ BAD = {
 }
 
 
-def test_the_mean_horizon_is_that_of_the_scenes_drawn() -> None:
+def test_the_mean_horizon_is_that_of_the_scenes_drawn():
     """The paper's: 3 n steps with n uniform on 3 .. 8, so 3 x 5.5; 1000 epochs of 60 episodes are 990,000 steps."""
     assert SceneSettings().mean_horizon == 16.5
     assert SceneSettings(steps=7).mean_horizon == 7.0

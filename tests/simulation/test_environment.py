@@ -52,7 +52,7 @@ def played(environment: Environment, key, policy: Policy):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_stepped_is_rolled_out(name: str) -> None:
+def test_stepped_is_rolled_out(name: str):
     """`rollout` has textbook oracles of its own: what is stepped must be what it simulates."""
     environment = world(name)
     policy = AttentionSettings().policy(environment.problem, jax.random.key(1))
@@ -72,7 +72,7 @@ def test_stepped_is_rolled_out(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_scores_of_several_levels_are_their_mean() -> None:
+def test_scores_of_several_levels_are_their_mean():
     """Two soft levels alone and together: what both earn is halfway between what each does."""
     easy, hard = SURROGATE.levels[0], SOFT.levels[1]
     last = []
@@ -84,7 +84,8 @@ def test_scores_of_several_levels_are_their_mean() -> None:
     assert last[2] == pytest.approx((last[0] + last[1]) / 2, abs=1e-12)
 
 
-def test_a_first_score_is_that_of_the_prior() -> None:
+@pytest.mark.slow
+def test_a_first_score_is_that_of_the_prior():
     """Y_0 = 0.5 I in the plane: log det = 2 log 0.5, whoever is there."""
     moment = reset(world("surrogate, no noise"), jax.random.key(0))
     assert float(moment.score) == pytest.approx(2 * np.log(0.5), abs=1e-12)
@@ -115,7 +116,7 @@ def alone(environment: Environment, key, actions):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["surrogate, no noise", "two levels at the truth, targets that come and go"])
-def test_a_batch_is_its_environments_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_is_its_environments_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch):
     """Through several ends of episodes, also where more are over at once than are drawn at once."""
     monkeypatch.setattr(under_test, "CHUNK", 2)
     environment, count, steps = world(name), 6, 20
@@ -136,7 +137,7 @@ def close(one, other) -> None:
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
 
 
-def test_episodes_one_after_another_differ() -> None:
+def test_episodes_one_after_another_differ():
     environment = world("surrogate, no noise")
     first = reset(environment, jax.random.key(0))
     second = reset(environment, first.key)
@@ -144,7 +145,7 @@ def test_episodes_one_after_another_differ() -> None:
     assert not np.allclose(first.episode.pose, second.episode.pose)
 
 
-def test_a_protocol_that_needs_truth_is_rejected_without_it() -> None:
+def test_a_protocol_that_needs_truth_is_rejected_without_it():
     for protocol in (TRUE, SOFT):
         with pytest.raises(ValueError, match="noise = False"):
             Environment(PLANAR.problem(), PLANAR.scenes, protocol, noise=False)

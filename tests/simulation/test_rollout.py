@@ -382,6 +382,7 @@ def noisy():
     return case, jax.jit(jax.value_and_grad(total))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("straight", [False, True], ids=["turning", "yaw rate exactly 0"])
 def test_gradient_of_log_dets(noisy, straight):
     case, function = noisy
@@ -392,6 +393,7 @@ def test_gradient_of_log_dets(noisy, straight):
     check_gradient(function, weights, [0, 3, 9, 11, 13, 18, 21])
 
 
+@pytest.mark.slow
 def test_gradient_through_the_papers_network():
     """Noise-free, as the paper trains it."""
     case = replace(world(2, n=2, K=6), truth=None)

@@ -58,6 +58,7 @@ def in_single_precision():
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
+@pytest.mark.slow
 def test_table1_is_the_same_in_both_precisions(suite180, in_single_precision):
     """A scene is what its file says: written by one process, it must be the one that another would draw."""
     scenes, _, _ = in_single_precision
@@ -66,6 +67,7 @@ def test_table1_is_the_same_in_both_precisions(suite180, in_single_precision):
     assert different == 0, f"{different} of 180 scenes differ"
 
 
+@pytest.mark.slow
 def test_episodes_are_nearly_the_same_in_both_precisions(suite180, in_single_precision):
     _, truth, mean = in_single_precision
     episode = scene_episodes(PAPER.problem(), PAPER.scenes, suite180[::60], 0, 1)

@@ -65,7 +65,7 @@ def one_thread():
     [AttentionSettings(), replace(WIDTHS, frame="world", alpha=0.7, length_m=3.0, information="asinh")],
     ids=["paper", "other"],
 )
-def test_the_torch_actor_decides_as_the_policy_it_becomes(settings: AttentionSettings) -> None:
+def test_the_torch_actor_decides_as_the_policy_it_becomes(settings: AttentionSettings):
     """Random observations, some without a target; what padding holds must not matter to either."""
     torch.manual_seed(0)
     actor = Attention(PROBLEM, settings, 2, sees_time=False)
@@ -91,7 +91,7 @@ def test_the_torch_actor_decides_as_the_policy_it_becomes(settings: AttentionSet
     assert np.ptp(np.array(expected), axis=0).min() > 0.02, "the actions must differ, or nothing was compared"
 
 
-def test_first_weights_are_within_one_over_the_root_of_inputs() -> None:
+def test_first_weights_are_within_one_over_the_root_of_inputs():
     """As those of the JAX network, biases too; and not far within."""
     torch.manual_seed(0)
     for layer in Attention(PROBLEM, AttentionSettings(), 2, sees_time=False).target_layers:
@@ -163,7 +163,7 @@ def experiment_ppo(**changes: Any) -> Learner:
     return ppo.make_ppo(experiment, experiment.training, seed=1)
 
 
-def test_the_value_after_the_horizon_is_zero() -> None:
+def test_the_value_after_the_horizon_is_zero():
     """Whatever the critic claims, the return of an episode's last step is its reward, and no bootstrap is in that."""
     model = experiment_ppo()
     flattering(model)
@@ -179,7 +179,7 @@ def test_the_value_after_the_horizon_is_zero() -> None:
     np.testing.assert_allclose(returns[:-1][last[1:]], expected[last[1:]], rtol=0, atol=2e-5)
 
 
-def test_the_test_above_catches_a_horizon_that_is_taken_for_a_truncation() -> None:
+def test_the_test_above_catches_a_horizon_that_is_taken_for_a_truncation():
     for ending, expected in [
         ({"TimeLimit.truncated": False}, 1.0),
         ({"TimeLimit.truncated": True}, 1.0 + 0.99 * 100.0),
@@ -191,7 +191,7 @@ def test_the_test_above_catches_a_horizon_that_is_taken_for_a_truncation() -> No
         np.testing.assert_allclose(kept.returns[:-1][last_steps(kept)], expected, rtol=1e-5)
 
 
-def test_the_critic_learns_the_remaining_return() -> None:
+def test_the_critic_learns_the_remaining_return():
     """Reward 1 a step and no discount: after k of 5 steps, 5 - k is left; with a value beyond the end it would grow."""
     probe = Probe(5, 8, {"TimeLimit.truncated": False})
     options: dict[str, Any] = {"gamma": 1.0, "learning_rate": 5e-3, "device": "cpu", "seed": 0}
@@ -202,7 +202,7 @@ def test_the_critic_learns_the_remaining_return() -> None:
     np.testing.assert_allclose(values, [5, 4, 3, 2, 1], atol=0.25)
 
 
-def test_the_vec_env_equals_the_environment() -> None:
+def test_the_vec_env_equals_the_environment():
     """Rows, rewards (scaled), ends and infos against the environment stepped by itself, one copy at a time."""
     environment = Environment(PROBLEM, TINY.scenario.scenes, SURROGATE, noise=False)
     key, count = jax.random.key(5), 8
@@ -240,7 +240,7 @@ def test_the_vec_env_equals_the_environment() -> None:
     assert not np.array_equal(first, vec_env.reset()), "without a seed the episodes go on"
 
 
-def test_only_a_critic_that_may_reads_the_time() -> None:
+def test_only_a_critic_that_may_reads_the_time():
     rows = torch.rand(32, 3 + 2 * 5 + 2 + 1, generator=torch.Generator().manual_seed(0))
     later = rows.clone()
     later[:, -1] += 1.0
@@ -261,7 +261,7 @@ def untimed(run: Path) -> list[dict[str, Any]]:
     return [{k: v for k, v in line.items() if k not in ("elapsed_s", "epochs_per_s")} for line in lines]
 
 
-def test_a_run_from_end_to_end(tmp_path: Path) -> None:
+def test_a_run_from_end_to_end(tmp_path: Path):
     """Checks where they are due, the best kept, the same weights from the same seed, no torch to read them."""
     checks = []
     outcome = ppo.train(TINY, tmp_path / "a", seed=3, on_validation=lambda check, total: checks.append((check, total)))
@@ -295,7 +295,7 @@ def test_a_run_from_end_to_end(tmp_path: Path) -> None:
         training.train(TINY, tmp_path / "c")
 
 
-def test_a_diverging_training_is_reported(tmp_path: Path) -> None:
+def test_a_diverging_training_is_reported(tmp_path: Path):
     """A step so large that weights overflow: one line, and no policy that is no number."""
     wild = replace(TINY, training=replace(TINY.training, learning_rate=1e38, check_every=128))
     outcome = ppo.train(wild, tmp_path / "r", seed=3)
@@ -303,14 +303,14 @@ def test_a_diverging_training_is_reported(tmp_path: Path) -> None:
     assert outcome.epochs <= 2
 
 
-def test_a_missing_extra_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_extra_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setitem(__import__("sys").modules, "stable_baselines3", None)
     with pytest.raises(ValueError, match=r"pip install 'foveate\[ppo\]'"):
         ppo.train(TINY, tmp_path / "r")
     assert not (tmp_path / "r").exists()
 
 
-def test_settings_are_those_of_stable_baselines() -> None:
+def test_settings_are_those_of_stable_baselines():
     """Against PPO's own defaults, as Stable-Baselines3 has them: 2048 steps a rollout, whoever takes them."""
     import inspect
 
@@ -334,7 +334,7 @@ def test_settings_are_those_of_stable_baselines() -> None:
     assert model.policy.optimizer.defaults["eps"] == 1e-5
 
 
-def test_another_learner_is_after_the_same() -> None:
+def test_another_learner_is_after_the_same():
     """What is earned and how it is judged stays; how it is learned changes."""
     soft = TrainingSettings(softness=((1.0, 0.3),), noise=True, select="true", held_out=7, epochs=3)
     changed = with_learner(Experiment(training=soft), PPO["ppo"])
