@@ -45,7 +45,7 @@ TESTED_ELSEWHERE = {
     # The modules of a training.
     **{f"learning.{name}": "learning/test_loop.py" for name in ("learner", "train", "tensorboard", "validation")},
     "learning.run_files": "learning/test_killed.py",
-    **dict.fromkeys(("learning.objective", "learning.policy_gradient"), "learning/test_gradient.py"),
+    "learning.policy_gradient": "learning/test_gradient.py",
     **dict.fromkeys(("learning.sb3.network", "learning.sb3.vec_env"), "learning/sb3/test_ppo.py"),
     # Implementations of one protocol, tested alike.
     **dict.fromkeys(("geometry.fov_planar", "geometry.fov_spatial"), "geometry/test_fov.py"),
@@ -61,8 +61,8 @@ TESTED_ELSEWHERE = {
     "evaluation.plan": "cli/test_cli.py",
     **dict.fromkeys(("io.progress", "io.provenance"), "test_api.py"),
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
-    **dict.fromkeys(("recordings.fit", "recordings.velocities"), "recordings/test_motion.py"),
-    "recordings.fitted": "test_api.py",
+    "recordings.fit": "test_api.py",
+    "recordings.velocities": "recordings/test_motion.py",
     **dict.fromkeys(("recordings.compare", "recordings.plausibility"), "recordings/test_replay.py"),
     **{f"plotting.{name}": "plotting/test_figures.py" for name in ("animation", "episode_data", "scene")},
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
