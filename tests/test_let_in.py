@@ -95,8 +95,8 @@ def test_no_address_but_this_machine_is_ever_served():
                     continue  # a primitive of JAX
                 made.append((path.name, ast.unparse(node)))
     assert sorted(made) == [
-        ("view.py", "probe.bind((HOST, port))"),
-        ("view.py", "viser.ViserServer(host=HOST, port=port, label='foveate', verbose=False)"),
+        ("server.py", "probe.bind((HOST, port))"),
+        ("server.py", "viser.ViserServer(host=HOST, port=port, label='foveate', verbose=False)"),
     ]
     assert re.search(
         r'^HOST = "127\.0\.0\.1"$', (ROOT / "src/foveate/plotting/live/server.py").read_text(), re.MULTILINE
