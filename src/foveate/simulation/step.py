@@ -39,7 +39,7 @@ class Draft(NamedTuple):
 
     `state` begins as the predicted one and ends as that after the update. `covariance` is V as the filter believes it,
     at the predicted means; `measured` marks the targets whose measurement is taken; `weight` is the share of a
-    measurement's information that each level counts; `restart` marks the beliefs to be replaced, and holds new ones.
+    measurement's information that each level of the protocol counts; `restart` marks the beliefs to be replaced, and holds new ones.
     """
 
     predicted: State
@@ -108,7 +108,7 @@ def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stag
 def act(problem: Problem, protocol: Protocol, predicted: State, instant: Instant, action: Action) -> Draft:
     """Run the stages on a predicted state and an action; the draft's `state` is that after the step.
 
-    `stages` depends on structure alone, so that a compiled program holds one fixed tuple.
+    The stages depend on what is present, never on values, so that a compiled program holds one fixed sequence.
     """
     problem, n = problem.at(predicted.step), len(predicted.present)
     draft = Draft(
