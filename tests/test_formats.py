@@ -78,6 +78,19 @@ def test_a_run_older_than_a_setting_resumes_twice(tmp_path):
     assert (run / CONFIG).read_text() == old
 
 
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_digest_of_a_preset_is_that_of_version_0_1(name):
+    """Jobs and results name experiments by their digest: a key that gets another name must not change it."""
+    expected = {
+        "paper": "58fa7acd86d515f2",
+        "best": "50a159efa1ffdcf0",
+        "true-view": "edfca99d41dae5ba",
+        "search": "eda9a0f2b0b54d16",
+        "quadrotor": "a11348db94dd4f85",
+    }
+    assert digest(PRESETS[name]) == expected[name]
+
+
 def test_presets_scenes_recordings_and_results_of_an_earlier_version():
     for path in FORMATS.glob("preset-*.toml"):
         assert isinstance(load_toml(Experiment, path), Experiment)

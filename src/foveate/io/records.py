@@ -58,6 +58,19 @@ def to_table(instance: Any) -> dict[str, Any]:
     return _plain(read_back, at)
 
 
+def with_first_names(table: dict[str, Any], instance: Any) -> dict[str, Any]:
+    """Name every key of the table of `instance` as it was named first, so that a digest outlives a renaming."""
+    renamed = getattr(instance, "RENAMED", {})
+    first = {new: old for old, new in renamed.items()}
+    named = {}
+    for key, value in table.items():
+        name = renamed.get(key, key)
+        part = getattr(instance, name)
+        is_table = is_dataclass(part) and isinstance(value, dict)
+        named[first.get(name, name)] = with_first_names(value, part) if is_table else value
+    return named
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Hint for an unknown name: the closest of the known names, or the first nine."""
     names = list(known)

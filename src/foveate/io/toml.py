@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from foveate.io.files import check_format, content_digest, file_error, read_text, write_atomic
-from foveate.io.records import T, from_table, to_table
+from foveate.io.records import T, from_table, to_table, with_first_names
 
 VERSION = 1
 """Version of the files that `save_toml` writes."""
@@ -46,7 +46,8 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
     header = {name: table.pop(name) for name in ("format", "version", "digest") if name in table}
     if header:
         check_format(path, header, cls.__name__.lower(), VERSION)
-    instance, content = from_table(cls, table, str(path)), content_digest(table)[:16]
+    instance = from_table(cls, table, str(path))
+    content = content_digest(with_first_names(table, instance))[:16]
     if header.get("digest", content) != content:
         hint = "if you changed it yourself, delete its line 'digest = ..'"
         raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
@@ -84,7 +85,7 @@ def _comment(text: str) -> list[str]:
 
 def digest(instance: Any) -> str:
     """Digest of the content of `instance` in 16 hex digits, the same in every process. Raises as `to_table`."""
-    return content_digest(to_table(instance))[:16]
+    return content_digest(with_first_names(to_table(instance), instance))[:16]
 
 
 def _toml_lines(table: dict[str, Any], path: str) -> Iterator[str]:

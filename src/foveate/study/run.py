@@ -17,7 +17,7 @@ from foveate import __version__
 from foveate.errors import InputError
 from foveate.evaluation.comparison import Part
 from foveate.evaluation.evaluate import Row
-from foveate.experiment.checkpoint import load_run
+from foveate.experiment.checkpoint import RENAMED, load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
@@ -146,7 +146,7 @@ class _Factory:
             key=lambda: _training_key(training, seed),
             compute=lambda note: records(self._train(training, seed, run, note)),
             encode=lambda records: asdict(records[0].outcome),
-            decode=lambda result: records(Outcome(**result)),
+            decode=lambda result: records(Outcome(**{RENAMED.get(name, name): value for name, value in result.items()})),
         )
 
     def _train(self, training: Training, seed: int, run: Path, note: Say) -> Outcome:

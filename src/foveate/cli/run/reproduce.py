@@ -59,7 +59,10 @@ def _methods_at(place: str) -> list[Method]:
     assert spec.loader is not None, "a name that ends in .py has a loader"
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up there
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file raises is not a bug of foveate
+        raise InputError(f"--add {place}: {type(error).__name__}: {error}") from error
     value = getattr(module, name, None)
     values = list(value) if isinstance(value, tuple | list) else [value]
     methods = [method for method in values if isinstance(method, Method)]
