@@ -181,6 +181,7 @@ def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFix
     assert "NearAndUncertain on table1" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_demo_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """One epoch; the table is whole, and the pictures are there."""
     monkeypatch.chdir(tmp_path)

@@ -42,6 +42,7 @@ def test_steps_of_environments_are_counted(five, clock):
     assert np.ptp(rewards) > 0
 
 
+@pytest.mark.slow
 def test_planned_scenes_are_counted(five, clock, monkeypatch):
     monkeypatch.setattr(simulation, "PLANNED_SCENES", 3)
     monkeypatch.setattr(simulation, "OMNISCIENT", {"true": PlanSettings(starts=1, iterations=1)})
