@@ -138,7 +138,8 @@ def test_predicts_as_filterpy_and_padding_does_not_matter():
     assert (many.targets, len(many.mean), many.padded(7)) == (2, 100, many)
     np.testing.assert_allclose(policy(many, pose), policy(plain, pose), rtol=0, atol=1e-12)
     nobody = foveate.Belief(np.zeros((0, 2)), covariance=np.eye(2))
-    assert np.isfinite(policy(nobody, pose)).all()
+    absent = foveate.Belief(far, covariance=np.eye(2), present=[False])
+    np.testing.assert_allclose(policy(nobody, pose), policy(absent, pose), rtol=0, atol=1e-12)
     assert repr(nobody) == "Belief(0 targets with states of 2 numbers)"
     assert repr(many) == "Belief(2 targets with states of 2 numbers, padded to 100, standard deviations 0.55 to 0.71)"
 

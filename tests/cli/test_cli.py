@@ -181,7 +181,7 @@ def test_plan_writes_rows_that_keep_the_contract(
     rows = json.loads(out.read_text())["rows"]
     assert {row["method"] for row in rows} == {method}
     assert {row["protocol"] for row in rows} == {"true"}
-    assert all(row["step_time_s"] > 0 for row in rows)
+    assert all(0 < row["step_time_s"] < 60 for row in rows)
     check_contract("evaluate", out)
     if method == "omniscient":
         assert len(list((tmp_path / "cache" / "foveate" / "plans").iterdir())) == 1
