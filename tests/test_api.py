@@ -1,4 +1,4 @@
-"""What Python programs call, against the simulation, the ONNX file, filterpy and the command line."""
+"""The Python interface against the simulation, the ONNX file, filterpy and the command line."""
 
 import ast
 import json
@@ -43,7 +43,7 @@ SPACE = foveate.Experiment(
 SCENE = foveate.Scene(
     id="two", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-5.0, 2.0)), drift=((0.0, 0.0), (0.1, 0.0)), horizon=4
 )
-CHANCE = {"seed": 3, "episodes": 2}
+NOISE = {"seed": 3, "episodes": 2}
 CHECK = Validation(
     epoch=1,
     objective=0.0,
@@ -241,12 +241,10 @@ def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     write_scenes(scenes, [SCENE])
     command = ["evaluate", str(out), "--scenes", str(scenes), "--protocol", "true", "--episodes", "2", "--seed", "3"]
     assert main([*command, "--json", str(tmp_path / "a")]) == 0
-    foveate.evaluate(out, scenes, protocol="true", **CHANCE).to_json(tmp_path / "b")
-    mine = foveate.evaluate(policy, [SCENE], protocol="true", progress=False, **CHANCE)
+    foveate.evaluate(out, scenes, protocol="true", **NOISE).to_json(tmp_path / "b")
+    mine = foveate.evaluate(policy, [SCENE], protocol="true", progress=False, **NOISE)
     mine.to_json(tmp_path / "c")
-    foveate.evaluate(policy.network, [SCENE], scenario=PLANE.scenario, protocol="true", **CHANCE).to_json(
-        tmp_path / "d"
-    )
+    foveate.evaluate(policy.network, [SCENE], scenario=PLANE.scenario, protocol="true", **NOISE).to_json(tmp_path / "d")
     a, b, c, d = (json.loads((tmp_path / name).read_text()) for name in "abcd")
     assert a == b
     assert a["rows"] == c["rows"] == d["rows"]

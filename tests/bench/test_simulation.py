@@ -1,4 +1,4 @@
-"""What is simulated and planned is counted."""
+"""Counts of simulated steps and planned scenes."""
 
 from dataclasses import replace
 

@@ -107,12 +107,12 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
     low, high = chi_square_band(2, 400 * 3)
     for k in (0, 1, 3, 6):
         assert low < nees[k].mean() < high, f"after step {k}"
-    # A filter that claimed half its covariance would be found out.
+    # A filter that claimed half its covariance would fail.
     assert not low < 2 * nees[6].mean() < high
 
 
 def test_every_method_gets_the_same_noise(always_seen):
-    """Where all is seen, the belief depends on the chance alone: the same for one who stands still."""
+    """If all targets are seen, beliefs depend on the noise alone: they equal those of an agent that stands still."""
     suite, trace = always_seen
     other = evaluate_traces(suite, heuristic("still", suite.problem, 2.0), TRUE)
     assert np.abs(other.pose - trace.pose).max() > 1

@@ -51,7 +51,7 @@ WEIGHTS = jnp.asarray(np.random.default_rng(1).normal(size=(STEPS, 2, 5)))
 
 @pytest.fixture(scope="module")
 def plain():
-    """How each log det depends on the weights of each step: (K, K, ...), with everything remembered."""
+    """Derivative of each log det by the weights of each step: (K, K, ...), with everything stored."""
     scores = jax.jit(jax.jacrev(lambda w: jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY), axis=-1)))
     return np.asarray(scores(WEIGHTS))
 

@@ -218,7 +218,7 @@ def test_order_and_padding_of_targets_do_not_matter(frame):
 
 @pytest.mark.parametrize("n_y", [2, 4])
 def test_body_frame_decision_does_not_depend_on_the_world_frame(n_y):
-    """The same agent, targets and beliefs, told in a frame that is turned and shifted."""
+    """The same agent, targets and beliefs, given in a frame that is turned and shifted."""
     pose, mean, information, present = scene(6, n_y)
     turn, shift = 2.7, np.array([40.0, -7.0])
     R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -246,7 +246,7 @@ def test_body_frame_asks_for_states_that_begin_with_the_position():
 
 
 def test_fresh_weights():
-    """Every layer is drawn anew, uniform within 1 / sqrt(inputs), and another key gives others."""
+    """Every layer is new, uniform within 1 / sqrt(inputs), and differs for another key."""
     small = AttentionSettings(agent_widths=(30,), target_widths=(30,), out_widths=(30,))
     one, other = (small.policy(SCENARIOS[2].problem(), jax.random.key(k)) for k in range(2))
     assert isinstance(one, AttentionPolicy)
