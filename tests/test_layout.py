@@ -61,7 +61,7 @@ TESTED_ELSEWHERE = {
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
     "recordings.fit": "test_api.py",
     "recordings.velocities": "recordings/test_motion.py",
-    **dict.fromkeys(("recordings.compare", "recordings.plausibility"), "recordings/test_replay.py"),
+    "recordings.compare": "recordings/test_replay.py",
     **{f"plotting.{name}": "plotting/test_figures.py" for name in ("animation", "episode_data", "scene")},
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
     **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},
