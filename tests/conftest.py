@@ -24,7 +24,7 @@ if IS_FIRST:  # workers, and processes that tests start, inherit it
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_num_cpu_devices", 2)  # so that batches are shared out in this process, too
+jax.config.update("jax_num_cpu_devices", 2)  # so that batches are sharded in this process, too
 install_import_hook("foveate", "beartype.beartype")
 
 from foveate.cli.common import compile_fast  # noqa: E402
@@ -80,7 +80,7 @@ def pytest_report_header(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Files stay together: what is made for all tests of one is made once."""
+    """Keep files whole: the fixtures of a file are made once."""
     seed = config.getoption("--shuffle")
     if seed is not None:
         drawn = random.Random(seed)

@@ -1,4 +1,4 @@
-"""What Python programs call, against the simulation, the ONNX file, filterpy and the command line."""
+"""The Python interface against the simulation, the ONNX file, filterpy and the command line."""
 
 import ast
 import json
@@ -43,7 +43,7 @@ SPACE = foveate.Experiment(
 SCENE = foveate.Scene(
     id="two", agent=(0.0, 0.0, 0.5), targets=((3.0, 1.0), (-5.0, 2.0)), drift=((0.0, 0.0), (0.1, 0.0)), horizon=4
 )
-CHANCE = {"seed": 3, "episodes": 2}
+NOISE = {"seed": 3, "episodes": 2}
 CHECK = Validation(
     epoch=1,
     objective=0.0,
@@ -138,7 +138,8 @@ def test_predicts_as_filterpy_and_padding_does_not_matter():
     assert (many.targets, len(many.mean), many.padded(7)) == (2, 100, many)
     np.testing.assert_allclose(policy(many, pose), policy(plain, pose), rtol=0, atol=1e-12)
     nobody = foveate.Belief(np.zeros((0, 2)), covariance=np.eye(2))
-    assert np.isfinite(policy(nobody, pose)).all()
+    absent = foveate.Belief(far, covariance=np.eye(2), present=[False])
+    np.testing.assert_allclose(policy(nobody, pose), policy(absent, pose), rtol=0, atol=1e-12)
     assert repr(nobody) == "Belief(0 targets with states of 2 numbers)"
     assert repr(many) == "Belief(2 targets with states of 2 numbers, padded to 100, standard deviations 0.55 to 0.71)"
 
@@ -240,12 +241,10 @@ def test_evaluates_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     write_scenes(scenes, [SCENE])
     command = ["evaluate", str(out), "--scenes", str(scenes), "--protocol", "true", "--episodes", "2", "--seed", "3"]
     assert main([*command, "--json", str(tmp_path / "a")]) == 0
-    foveate.evaluate(out, scenes, protocol="true", **CHANCE).to_json(tmp_path / "b")
-    mine = foveate.evaluate(policy, [SCENE], protocol="true", progress=False, **CHANCE)
+    foveate.evaluate(out, scenes, protocol="true", **NOISE).to_json(tmp_path / "b")
+    mine = foveate.evaluate(policy, [SCENE], protocol="true", progress=False, **NOISE)
     mine.to_json(tmp_path / "c")
-    foveate.evaluate(policy.network, [SCENE], scenario=PLANE.scenario, protocol="true", **CHANCE).to_json(
-        tmp_path / "d"
-    )
+    foveate.evaluate(policy.network, [SCENE], scenario=PLANE.scenario, protocol="true", **NOISE).to_json(tmp_path / "d")
     a, b, c, d = (json.loads((tmp_path / name).read_text()) for name in "abcd")
     assert a == b
     assert a["rows"] == c["rows"] == d["rows"]

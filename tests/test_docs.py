@@ -1,4 +1,4 @@
-"""What the pages promise is there: files behind links, headings, symbols, tests, and quoted lines of code."""
+"""Pages refer to things that exist: files behind links, headings, symbols, tests, and quoted lines of code."""
 
 import ast
 import re
@@ -36,7 +36,7 @@ NUMBERED = re.compile(r"^### \((\d+)\)(?:–\((\d+)\))?", re.MULTILINE)
 
 
 def anchors(page: Path) -> set[str]:
-    """What a `#fragment` may name: headings, as GitHub writes them."""
+    """Names of a `#fragment`: headings, as GitHub writes them."""
     headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
@@ -65,7 +65,7 @@ def bound(node: ast.stmt) -> list[str]:
 
 
 def defines(file: Path, symbol: str) -> bool:
-    """Whether a file has this function, class or constant, or `Class.member`."""
+    """True if a file has this function, class or constant, or `Class.member`."""
     body = ast.parse(file.read_text(encoding="utf-8")).body
     for part in symbol.split("."):
         node = next((node for node in body if part in bound(node)), None)
@@ -76,7 +76,7 @@ def defines(file: Path, symbol: str) -> bool:
 
 
 def quotes(file: Path, snippet: str) -> bool:
-    """Whether the lines stand in the file one after the other, whatever their indentation."""
+    """True if the lines follow each other in the file, whatever their indentation."""
     wanted, lines = ([line.strip() for line in text.splitlines()] for text in (snippet, file.read_text("utf-8")))
     return any(lines[i : i + len(wanted)] == wanted for i in range(len(lines)))
 

@@ -1,4 +1,4 @@
-"""What goes wrong in the world has a defined outcome: outliers, jumps of the clock, targets that flicker, nothing seen.
+"""Sensor and clock faults have a defined outcome: outliers, jumps of the clock, targets that flicker, nothing seen.
 
 Numbers that are not finite in training and collapsed policies: learning/test_training.py. Rejected measurements:
 models/test_gate.py. Files that are cut or damaged: test_formats.py. Killed processes: learning/test_killed.py.

@@ -116,7 +116,7 @@ def copied(tmp_path):
 
 
 def rejected(read, path):
-    """Whether a file is rejected in one line that names it, or what it stands beside."""
+    """True if a file is rejected in one line that names it or a file beside it."""
     try:
         read(path)
     except ValueError as error:

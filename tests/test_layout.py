@@ -45,14 +45,12 @@ TESTED_ELSEWHERE = {
     # The modules of a training.
     **{f"learning.{name}": "learning/test_loop.py" for name in ("learner", "train", "tensorboard", "validation")},
     "learning.run_files": "learning/test_killed.py",
-    "learning.policy_gradient": "learning/test_gradient.py",
     **dict.fromkeys(("learning.sb3.network", "learning.sb3.vec_env"), "learning/sb3/test_ppo.py"),
     # Implementations of one protocol, tested alike.
     **dict.fromkeys(("geometry.fov_planar", "geometry.fov_spatial"), "geometry/test_fov.py"),
     **dict.fromkeys(("geometry.series", "geometry.lie_planar"), "geometry/test_lie.py"),
     **dict.fromkeys(("models.problem", "simulation.records", "simulation.step"), "simulation/test_rollout.py"),
     "models.target": "scenario/test_target.py",
-    **dict.fromkeys(("policies.inputs", "policies.layers"), "policies/test_attention.py"),
     **dict.fromkeys(("experiment.experiment", "experiment.learners"), "experiment/test_presets.py"),
     "experiment.run_folder": "experiment/test_checkpoint.py",
     "experiment.resolve": "test_package.py",
@@ -63,7 +61,7 @@ TESTED_ELSEWHERE = {
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
     "recordings.fit": "test_api.py",
     "recordings.velocities": "recordings/test_motion.py",
-    **dict.fromkeys(("recordings.compare", "recordings.plausibility"), "recordings/test_replay.py"),
+    "recordings.compare": "recordings/test_replay.py",
     **{f"plotting.{name}": "plotting/test_figures.py" for name in ("animation", "episode_data", "scene")},
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
     **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},

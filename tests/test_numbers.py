@@ -83,7 +83,7 @@ def weights():
     return eqx.filter(network(), eqx.is_inexact_array)
 
 
-def world(scale):
+def scenario_of(scale):
     """The paper's, in other units of length."""
     return Scenario(
         agent=DifferentialDrive(v_max_m_s=4.0 * scale),
@@ -130,7 +130,7 @@ def test_in_other_units_of_length_the_score_is_the_same_but_for_the_units(scale,
     """From a millimetre to 100 km; log det of s^-2 Y is log det Y - 2 n_y log s."""
     played = eqx.filter(Played(actions(seed)), eqx.is_inexact_array)
     one = program("played")(played, PAPER, episode_of(seed, count), 0.4)
-    other = program("played")(played, world(scale), episode_of(seed, count, scale), 0.4 * scale)
+    other = program("played")(played, scenario_of(scale), episode_of(seed, count, scale), 0.4 * scale)
     sane(other)
     expected = float(one.score) - 4 * np.log(scale) * (count > 0)
     np.testing.assert_allclose(other.score, expected, rtol=0, atol=1e-7)
@@ -223,7 +223,7 @@ def test_float32_is_float64_within_bounds():
             for seed, scale in itertools.product(range(15), (1e-3, 1.0, 1e5)):
                 played = eqx.filter(Played(actions(seed)), eqx.is_inexact_array)
                 episode = episode_of(seed, seed % 9, scale)
-                kept.append(run(played, cached_world(scale, x64), episode, jnp.asarray(0.4 * scale)))
+                kept.append(run(played, cached_scenario(scale, x64), episode, jnp.asarray(0.4 * scale)))
     for one, other in zip(exact, rounded, strict=True):
         assert other.score.dtype == np.float32
         np.testing.assert_allclose(other.score, one.score, rtol=0, atol=1e-3)
@@ -232,6 +232,6 @@ def test_float32_is_float64_within_bounds():
 
 
 @functools.cache
-def cached_world(scale, x64):
+def cached_scenario(scale, x64):
     assert x64 == jax.config.read("jax_enable_x64")
-    return world(scale)
+    return scenario_of(scale)

@@ -1,4 +1,4 @@
-"""What is shipped: the wheel and the sdist as hatchling builds them, the trained presets in them, the citation."""
+"""Package contents: the wheel and the sdist as hatchling builds them, the trained presets in them, the citation."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What a reader of a page copies runs: its Python, its commands, its files. Only sizes are made smaller, and here."""
+"""The Python, commands and files that a reader copies from a page run; sizes are made smaller here."""
 
 import re
 import runpy
@@ -28,7 +28,7 @@ FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.DOTALL | re.MULTILINE)
 IDS = [str(page.relative_to(ROOT)) for page in PAGES]
 
 EPOCHS, EPISODES = 1, 8
-"""What a training on a page is cut down to."""
+"""Size of a training on a page."""
 RUN_ELSEWHERE = {
     "deploy.md": "tests/deploy/onnx/test_export.py",
     "gymnasium.md": "tests/gym/test_envs.py",
@@ -47,7 +47,7 @@ def blocks(page: Path, *kinds: str) -> list[str]:
 
 
 def commands(page: Path) -> Iterator[list[str]]:
-    """What the shell blocks of a page run, a command a line, comments aside."""
+    """Commands of the shell blocks of a page, one a line, without comments."""
     for block in blocks(page, "sh"):
         for line in block.splitlines():
             if words := shlex.split(line, comments=True):
@@ -79,7 +79,7 @@ def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]):
             case ["source", ".venv/bin/activate"]:
                 pass
             case _:
-                pytest.fail(f"{page.name}: nothing here knows {shlex.join(words)}")
+                pytest.fail(f"{page.name}: no test knows {shlex.join(words)}")
     text = page.read_text(encoding="utf-8")
     named = {name for group in re.findall(r"foveate\[([\w,]+)\]", text) for name in group.split(",")}
     assert named <= set(extras)
@@ -90,10 +90,10 @@ def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path):
     """Scenes, recordings and configurations; and a block in a language that no test here takes would be missed."""
     known = {"sh", "python", "toml", "json", "csv", "text"}
     assert {kind for kind, _ in FENCE.findall(page.read_text(encoding="utf-8"))} <= known
-    world = PRESETS["paper"].scenario
+    scenario = PRESETS["paper"].scenario
     for text in blocks(page, "json"):
         (tmp_path / "scenes.json").write_text(text, encoding="utf-8")
-        assert read_scenes(tmp_path / "scenes.json", world.problem().agent.space, world.scenes)
+        assert read_scenes(tmp_path / "scenes.json", scenario.problem().agent.space, scenario.scenes)
     for text in blocks(page, "csv"):
         (tmp_path / "recording.csv").write_text(text, encoding="utf-8")
         assert load_recording(tmp_path / "recording.csv").tracks
@@ -102,14 +102,14 @@ def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path):
 
 
 def test_the_python_of_every_page_runs_somewhere():
-    told = {page.name for page in PAGES if blocks(page, "python")}
-    assert told == {*RUN_ELSEWHERE, *RUN_HERE, *QUOTED}
+    pages = {page.name for page in PAGES if blocks(page, "python")}
+    assert pages == {*RUN_ELSEWHERE, *RUN_HERE, *QUOTED}
     for name, test in RUN_ELSEWHERE.items():
         assert name in (ROOT / test).read_text(encoding="utf-8")
 
 
 def fresh(folder: Path, preset: str) -> None:
-    """A run folder with the first weights of a preset."""
+    """A run folder with the initial weights of a preset."""
     experiment = PRESETS[preset]
     (folder / BEST).parent.mkdir(parents=True)
     write_config(folder, experiment)
@@ -119,12 +119,12 @@ def fresh(folder: Path, preset: str) -> None:
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Where a reader works, with the examples, small sizes, and first weights for those of presets (see `fresh`)."""
+    """A reader's folder, with the examples, small sizes, and initial weights for those of presets (see `fresh`)."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     train, table1, own = foveate.train, foveate.experiment.resolve.table1, foveate.experiment.resolve.own_suite
     monkeypatch.setattr(
         "foveate.api.train",
-        lambda world, **options: train(world, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
+        lambda experiment, **options: train(experiment, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
     )
     monkeypatch.setattr("foveate.experiment.resolve.table1", lambda *given: table1(*given)[:2])
     monkeypatch.setattr("foveate.experiment.resolve.own_suite", lambda *given: own(*given)[:2])
@@ -137,7 +137,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def run_python(page: Path) -> dict[str, Any]:
-    """Run the Python of a page, block after block, as a reader types it; what it leaves."""
+    """Run the Python of a page, block after block, as a reader types it; return its names."""
     names: dict[str, Any] = {}
     for block in blocks(page, "python"):
         exec(compile(block, page.name, "exec"), names)
@@ -146,6 +146,7 @@ def run_python(page: Path) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
+    onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
     page = ROOT / "docs" / "tutorial.md"
     fresh(reader / "trained" / "true-view", "true-view")
     left = run_python(page)
@@ -159,7 +160,8 @@ def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     assert config["scenario"]["view"] == {"shape": "sector", "depth_m": 5.0, "angle_deg": 70.0}
     (words,) = [words for words in commands(page) if words[:2] == ["foveate", "export"]]
     assert main(words[1:]) == 0
-    assert (reader / "mine.onnx").is_file()
+    session = onnxruntime.InferenceSession(reader / "mine.onnx")
+    assert {"mean", "pose"} <= {value.name for value in session.get_inputs()}
 
 
 @pytest.mark.slow
@@ -181,6 +183,7 @@ def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFix
     assert "NearAndUncertain on table1" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_demo_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """One epoch; the table is whole, and the pictures are there."""
     monkeypatch.chdir(tmp_path)

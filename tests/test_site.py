@@ -1,4 +1,4 @@
-"""How the documentation is made: the generated pages, the links to code, the formulas, and what no page may have."""
+"""The built documentation: generated pages, links to code, formulas, and content that no page may have."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path

@@ -1,7 +1,9 @@
-"""What is simulated and planned is counted."""
+"""Counts of simulated steps and planned scenes."""
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from foveate.bench import simulation
 from foveate.planning.shooting import PlanSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.environment import Environment, reset, step
+from foveate.simulation.records import PROTOCOLS
 from foveate.simulation.suites import own_suite
 
 
@@ -33,15 +37,31 @@ def test_steps_of_targets_are_counted(five, clock):
     assert evaluation.log_det.shape == (len(scenes) * 4, 2, 5)
 
 
+@pytest.mark.slow
 def test_steps_of_environments_are_counted(five, clock):
     (metric,) = simulation.environments(five, 1)
     assert (metric.key, metric.value) == ("env_steps_per_s_2", pytest.approx(32 * 2 / 2.0))
     (rewards,) = clock.results
-    assert rewards.shape == (32, 2)
-    assert np.isfinite(rewards).all()
-    assert np.ptp(rewards) > 0
+    environment = Environment(five.scenario.problem(), five.scenario.scenes, PROTOCOLS["true"], True)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (32, 2, 2)).astype(np.float32)
+    keys = jax.random.split(jax.random.key(0), 2)
+    expected = np.stack([rewards_of(environment, keys[i], actions[:, i]) for i in range(2)], axis=1)
+    np.testing.assert_allclose(rewards, expected, rtol=1e-5, atol=1e-5)
 
 
+@eqx.filter_jit
+def rewards_of(environment, key, actions):
+    """Rewards of one environment, which begins its next episode where one ends."""
+
+    def one(current, action):
+        current, transition = step(environment, current, action)
+        current = jax.lax.cond(transition.done, lambda: reset(environment, current.key), lambda: current)
+        return current, transition.reward
+
+    return jax.lax.scan(one, reset(environment, key), actions)[1]
+
+
+@pytest.mark.slow
 def test_planned_scenes_are_counted(five, clock, monkeypatch):
     monkeypatch.setattr(simulation, "PLANNED_SCENES", 3)
     monkeypatch.setattr(simulation, "OMNISCIENT", {"true": PlanSettings(starts=1, iterations=1)})

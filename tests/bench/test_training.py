@@ -22,6 +22,7 @@ def test_the_limit_counts_the_papers_network_on_real_targets_and_steps():
     assert operations == pytest.approx(60 * 6 * (99.5 * 2368 + 16.5 * 5344))
 
 
+@pytest.mark.slow
 def test_a_training_step_beside_its_limit(tiny):
     metrics = {metric.key: metric for metric in training_step(tiny, 60, repeats=1)}
     step, rate = metrics["train_epoch_s_60"].value, metrics["train_episodes_per_s_60"].value
@@ -44,6 +45,7 @@ def test_times_are_those_of_one_step(tiny, monkeypatch, clock):
         assert metrics[name] == pytest.approx(0.1 / limit)
 
 
+@pytest.mark.slow
 def test_a_training_does_not_compile_after_its_first_validation(tiny, monkeypatch):
     """With a learner whose program has a size that changes, the count shows it."""
     metrics = {metric.key: metric.value for metric in compilation_counts(tiny)}

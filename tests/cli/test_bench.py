@@ -28,9 +28,9 @@ def machine(monkeypatch):
     kept = jax.config.jax_enable_compilation_cache
 
     def measurements(sizes, quick):
-        told = [metric("slow_s", values["slow_s"]), metric("rate_per_s", values["rate_per_s"], "higher")]
-        told.append(metric("never_s", 0.0))  # nothing to divide by
-        return [("two things", lambda repeats: told)]
+        metrics = [metric("slow_s", values["slow_s"]), metric("rate_per_s", values["rate_per_s"], "higher")]
+        metrics.append(metric("never_s", 0.0))  # nothing to divide by
+        return [("two things", lambda repeats: metrics)]
 
     monkeypatch.setattr(benchmarks, "measurements", measurements)
     monkeypatch.setattr(timing, "measure_references", lambda repeats: {"matmul": 1.0, "python": 1.0})
@@ -42,8 +42,12 @@ def test_a_regression_is_reported_with_exit_status_one(machine, tmp_path, capsys
     first = tmp_path / "first.json"
     assert main(["bench", "--quick", "--json", str(first)]) == 0
     report = json.loads(first.read_text())
-    told = {each["key"]: each for each in report["metrics"]}
-    assert (told["slow_s"]["value"], told["slow_s"]["ratio"], told["slow_s"]["better"]) == (2.0, 2.0, "lower")
+    reported = {each["key"]: each for each in report["metrics"]}
+    assert (reported["slow_s"]["value"], reported["slow_s"]["ratio"], reported["slow_s"]["better"]) == (
+        2.0,
+        2.0,
+        "lower",
+    )
     assert "cores" in report["machine"]
     compare = ["bench", "--quick", "--baseline", str(first)]
     assert main(compare) == 0

@@ -181,7 +181,7 @@ def test_plan_writes_rows_that_keep_the_contract(
     rows = json.loads(out.read_text())["rows"]
     assert {row["method"] for row in rows} == {method}
     assert {row["protocol"] for row in rows} == {"true"}
-    assert all(row["step_time_s"] > 0 for row in rows)
+    assert all(0 < row["step_time_s"] < 60 for row in rows)
     check_contract("evaluate", out)
     if method == "omniscient":
         assert len(list((tmp_path / "cache" / "foveate" / "plans").iterdir())) == 1
@@ -297,7 +297,7 @@ def test_render_names_unsupported_input(stored: Path, tmp_path: Path, capsys: py
 def test_ppo_trains_a_run_that_evaluates(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    """A config of PPO with next to no training; what it leaves is judged without torch, and does not go on."""
+    """A config of PPO with hardly any training; its result is evaluated without torch, and cannot be resumed."""
     pytest.importorskip("stable_baselines3", reason="needs the extra ppo")
     config, run = tmp_path / "small.toml", tmp_path / "run"
     small = "held_out = 4\nenvironments = 4\nrollout_steps = 8\nbatch = 16\npasses = 1\n"
@@ -318,7 +318,7 @@ def test_ppo_trains_a_run_that_evaluates(
     assert not (tmp_path / "x").exists()
 
 
-def test_an_algorithm_and_its_counts_belong_together(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_algorithm_needs_its_own_counts(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = ("--out", str(tmp_path / "x"))
     assert "steps 10: this algorithm" in failure(capsys, "train", "--steps", "10", *out)
     assert "expected steps" in failure(capsys, "train", "--algorithm", "ppo", "--episodes", "10", *out)

@@ -37,11 +37,11 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         cells = ((3, False), (3, True))
         return [s for n, biased in cells for s in suite(TINY.scenario.scenes, problem, seed, n, 2, biased)]
 
-    def nearest(world):
-        return heuristic("nearest", world.scenario.problem(), 2.0)
+    def nearest(experiment):
+        return heuristic("nearest", experiment.scenario.problem(), 2.0)
 
-    ceiling = Fixed(name="omniscient", family="omniscient", make=nearest)
-    methods = (ceiling, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
+    omniscient = Fixed(name="omniscient", family="omniscient", make=nearest)
+    methods = (omniscient, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
     monkeypatch.setattr(study, "table1", scenes)
     monkeypatch.setattr(study, "paper_methods", lambda budget: methods)
     monkeypatch.setattr(oracle, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
@@ -78,10 +78,12 @@ def test_reproduce_from_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFi
 def test_reproduce_for_the_true_view(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    """Both first errors, the true protocol alone, a world that differs; the contract holds."""
-    ceiling, learned = study.paper_methods(study.QUICK)
-    uncertain = Fixed(name="uncertain", make=lambda world: heuristic("uncertain", world.scenario.problem(), 2.0))
-    methods = (ceiling, replace(learned, name=study.TRUE_VIEW), uncertain)
+    """Both initial errors, the true protocol alone, a scenario that differs; the contract holds."""
+    omniscient, learned = study.paper_methods(study.QUICK)
+    uncertain = Fixed(
+        name="uncertain", make=lambda experiment: heuristic("uncertain", experiment.scenario.problem(), 2.0)
+    )
+    methods = (omniscient, replace(learned, name=study.TRUE_VIEW), uncertain)
     monkeypatch.setattr(study, "true_view_methods", lambda budget: methods)
     monkeypatch.setattr(study, "FACTORS", tuple(replace(one, values=one.values[1:3]) for one in study.FACTORS))
     monkeypatch.setattr(study, "QUICK", replace(study.QUICK, factors=("V",)))
@@ -98,10 +100,10 @@ def test_reproduce_for_the_true_view(
         assert {one["protocol"] for one in data[part]} == {"true"}
     still = [[r["rmse_m"] for r in data["rows"] if r["initial_error"] == error] for error in ("paper", "consistent")]
     assert sum(still[0]) < sum(still[1]), "a first error of 0.2 m is less than one of 1.4 m"
-    worlds = json.loads((out / "robustness.json").read_text())
-    (factor,) = worlds["factors"]
-    assert (worlds["protocol"], worlds["training_seeds"]) == ("true", data["training_seeds"])
-    assert {"foveate", "world", "scene_seed", "noise_seed", "trainings"} <= set(worlds)
+    robustness = json.loads((out / "robustness.json").read_text())
+    (factor,) = robustness["factors"]
+    assert (robustness["protocol"], robustness["training_seeds"]) == ("true", data["training_seeds"])
+    assert {"foveate", "world", "scene_seed", "noise_seed", "trainings"} <= set(robustness)
     assert "Scenarios that differ" in (out / "table.md").read_text()
     assert {(one["method"], one["value"]) for one in factor["verdicts"]} == {
         (name, value) for name in (study.TRUE_VIEW, "uncertain") for value in (0.1, 0.2)
@@ -113,22 +115,22 @@ def test_reproduce_for_the_true_view(
 
 
 def _check_moving_pictures(out: Path, rows: list[dict], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it is no quick look, the best and the worst scene of each cell are filmed."""
-    filmed: dict[str, str] = {}
+    """In a full study the best and the worst scene of each cell are animated."""
+    animated: dict[str, str] = {}
     monkeypatch.setattr(
-        publication, "animate", lambda film, path: filmed.update({path.name: film.title.split(", ")[1]})
+        publication, "animate", lambda data, path: animated.update({path.name: data.title.split(", ")[1]})
     )
     asked = replace(study.true_view_study(True), quick=False)
     results = reproduce(asked, out, lambda *_: None, lambda *_: None)
     publication.publish(asked, out, results)
     for motion in ("unbiased", "biased"):
-        told = {
+        scores = {
             row["scene"]: row["score"]
             for row in rows
             if (row["method"], row["motion"], row["initial_error"]) == (study.TRUE_VIEW, motion, "paper")
         }
-        assert told[filmed[f"3-{motion}-easy.gif"]] == max(told.values())
-        assert told[filmed[f"3-{motion}-hard.gif"]] == min(told.values())
+        assert scores[animated[f"3-{motion}-easy.gif"]] == max(scores.values())
+        assert scores[animated[f"3-{motion}-hard.gif"]] == min(scores.values())
 
 
 def _check_data(data: dict) -> None:

@@ -158,7 +158,7 @@ def test_the_gate_rejects_outliers_and_few_valid_detections():
 
 @pytest.mark.parametrize("wild", [100 * np.sqrt(2.04), np.nan, np.inf])
 def test_an_outlier_is_ignored_and_counted(wild):
-    """100 sigma of the innovation, by the default gate; a second one counts on; the age goes on too."""
+    """100 sigma of the innovation, by the default gate; a second one adds to the count; the age keeps growing."""
     tracker = Tracker(Scenario().problem())
     tracker.add("a", [0.0, 0.0])
     tracker.predict()

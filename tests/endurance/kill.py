@@ -32,7 +32,7 @@ MODEL = Experiment(
     policy=AttentionSettings(agent_widths=(4,), target_widths=(8, 4), out_widths=(6,)),
     training=TrainingSettings(epochs=40, episodes=8, learning_rate=1e-2, held_out=16, check_every=2),
 )
-TRYING = replace(
+ACTOR_CRITIC = replace(
     MODEL,
     policy=PointerSettings(
         kind="pointer", target_widths=(8, 8), heads=2, context_widths=(8,), mode_widths=(8,), modes=1
@@ -99,7 +99,7 @@ def kill(experiment: Experiment, kills: int, rng: np.random.Generator, folder: P
         process.communicate()
         at.append(checks(run))
         left -= 1
-    print(f"{type(experiment.training).__name__}: killed {len(at)} times, after so many checks: {at}")
+    print(f"{type(experiment.training).__name__}: killed {len(at)} times, after these numbers of checks: {at}")
     assert (run / CONFIG).exists(), "killed too early every time"
     status, said = finish(start(folder, "--resume", run))
     assert status == 0, said
@@ -113,7 +113,7 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     bad = 0
-    for short in (MODEL, TRYING):
+    for short in (MODEL, ACTOR_CRITIC):
         experiment = replace(short, training=replace(short.training, epochs=1500))
         with tempfile.TemporaryDirectory() as folder:
             found = kill(experiment, given.kills, np.random.default_rng(given.seed), Path(folder))

@@ -29,7 +29,7 @@ RATE_HZ = 100
 MOST = 16
 """Number of targets that the decision is compiled for, once."""
 ALIVE, LIFE_S, DETECTED, OUTLIERS = 8, 20.0, 0.8, 1e-3
-WORLD = Scenario(
+SCENARIO = Scenario(
     tau_s=1 / RATE_HZ,
     target=DriftTarget(process_std_m=0.005),
     view=SectorView(depth_m=1000.0, angle_deg=360.0),
@@ -67,10 +67,10 @@ def resident_mib() -> float:
 
 def soak(seconds: float, seed: int = 0) -> Soaked:
     """Run the loop for this long, in the robot's own time."""
-    problem, rng, steps = WORLD.problem(), np.random.default_rng(seed), round(seconds * RATE_HZ)
+    problem, rng, steps = SCENARIO.problem(), np.random.default_rng(seed), round(seconds * RATE_HZ)
     policy = AttentionSettings().policy(problem, jax.random.key(seed))
     decide = eqx.filter_jit(lambda seen: problem.agent.control(policy(seen, (), jax.random.key(0))[0]))
-    tracker, pose = Tracker(WORLD, forget_after_s=1.0), np.zeros(3)
+    tracker, pose = Tracker(SCENARIO, forget_after_s=1.0), np.zeros(3)
     alive: dict[int, np.ndarray] = {}
     born = outliers = rejected = restarts = 0
     times, memory, squares = np.zeros(steps), [], []
@@ -141,7 +141,7 @@ def faults(found: Soaked) -> list[str]:
 
 
 def tabs(count: int) -> str:
-    """Open and close so many tabs on a live view; the view goes on. Says what happened."""
+    """Open and close N tabs on a live view, which must keep running; return a report."""
     from helpers.browser import CHROMIUM, Browser, wait_for
     from helpers.episode_data import late_sightings
 
@@ -177,7 +177,7 @@ def main() -> int:
     given = options.parse_args()
     found = soak(given.seconds, given.seed)
     print(f"{found.steps} steps, {found.ids} ids, {found.outliers} outliers, {found.rejected} rejected", end=", ")
-    print(f"{found.restarts} begun anew")
+    print(f"{found.restarts} restarted")
     print(f"predict and decide: median {1e6 * found.median_s:.0f} us, p99 {1e6 * found.p99_s:.0f} us", end=", ")
     print(f"{found.p99_s / found.median_s:.2f} times the median")
     print(f"memory {found.memory_mib[0]:.1f} MiB at first, {found.memory_mib[-1]:.1f} at the end", end=", ")

@@ -65,13 +65,18 @@ def test_rows(rows, tmp_path):
 
 
 def test_detected_targets_are_the_same_under_both_protocols(rows):
-    """The world does not know how the filter is run; one who stands still sees the same."""
-    _, found = rows
+    """Targets move without regard to the filter: an agent that stands still sees the same under both."""
+    suite, found = rows
     half = len(found) // 2
     for soft, true in zip(found[:half], found[half:], strict=True):
         for name in ("seen_fraction", "seen_step_fraction", "longest_unseen_s"):
             assert getattr(soft, name) == getattr(true, name)
     assert any(r.seen_fraction > 0 for r in found)
+    detected = evaluate_traces(suite, heuristic("still", PAPER, 2.0), TRUE).visible
+    for i, r in enumerate(found[half:]):
+        horizon = suite.scenes[i // 2].horizon
+        ever = [bool(detected[i, :horizon, j].any()) for j in range(r.targets)]
+        assert r.seen_fraction == (sum(ever) / len(ever) if ever else 0.0)
     alone = [r for r in found if r.scene == "alone"]
     assert alone[0].score != alone[2].score
 
@@ -102,12 +107,12 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
     low, high = chi_square_band(2, 400 * 3)
     for k in (0, 1, 3, 6):
         assert low < nees[k].mean() < high, f"after step {k}"
-    # A filter that claimed half its covariance would be found out.
+    # A filter that claimed half its covariance would fail.
     assert not low < 2 * nees[6].mean() < high
 
 
 def test_every_method_gets_the_same_noise(always_seen):
-    """Where all is seen, the belief depends on the chance alone: the same for one who stands still."""
+    """If all targets are seen, beliefs depend on the noise alone: they equal those of an agent that stands still."""
     suite, trace = always_seen
     other = evaluate_traces(suite, heuristic("still", suite.problem, 2.0), TRUE)
     assert np.abs(other.pose - trace.pose).max() > 1

@@ -62,7 +62,7 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
         suite, "omniscient", "true", jax.tree.map(np.asarray, trace), [row.step_time_s for row in rows]
     )
     for row, real in zip(rows, driven, strict=True):
-        # What the filter that really runs earns on the way: under `true` the very score that was planned.
+        # Score of the running filter along the plan: under `true` exactly the planned score.
         if row.targets:
             assert (row.score, row.entropy) == pytest.approx((real.score, real.entropy), rel=1e-9)
         assert replace(row, score=None, entropy=None) == replace(real, score=None, entropy=None)

@@ -26,7 +26,7 @@ def test_summary_statistics():
     given = [replace(one, episode=i % 3) for i, one in enumerate(given)]
     (cell,) = summarise(given, state_size=2)
     (twice,) = summarise(given + given, state_size=2)
-    assert twice.nees_band == cell.nees_band, "the same chance twice, as for two training seeds, says nothing new"
+    assert twice.nees_band == cell.nees_band, "the same noise twice, as for two training seeds, adds no information"
     means = score.reshape(12, 3).mean(axis=1)
     half = student.ppf(0.975, 11) * means.std(ddof=1) / np.sqrt(12)
     names = ("mean", "std", "seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees")

@@ -14,7 +14,7 @@ from foveate.policies.pointer import PointerSettings
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 
-TRYING = ActorCriticSettings(algorithm="actor-critic")
+ACTOR_CRITIC = ActorCriticSettings(algorithm="actor-critic")
 STREET = Experiment(
     scenario=Scenario(view=SectorView(shape="sector", depth_m=8.0, angle_deg=90.0)),
     policy=AttentionSettings(length_m=8.0),
@@ -23,16 +23,16 @@ STREET = Experiment(
 
 
 def test_a_learner_brings_a_network_that_it_can_train():
-    tried = with_learner(STREET, TRYING)
-    assert tried.training == replace(TRYING, objective="seen", select="true", held_out=7)
-    assert tried.policy == PointerSettings(kind="pointer", length_m=20.0)
-    assert tried.scenario == STREET.scenario
-    back = with_learner(tried, TrainingSettings())
+    experiment = with_learner(STREET, ACTOR_CRITIC)
+    assert experiment.training == replace(ACTOR_CRITIC, objective="seen", select="true", held_out=7)
+    assert experiment.policy == PointerSettings(kind="pointer", length_m=20.0)
+    assert experiment.scenario == STREET.scenario
+    back = with_learner(experiment, TrainingSettings())
     assert back.training == TrainingSettings(objective="seen", select="true", held_out=7)
     assert back.policy == AttentionSettings()
     assert with_learner(STREET, TrainingSettings()).policy == STREET.policy
     with pytest.raises(ValueError, match="expected 'terminal'"):
-        with_learner(tried, PPO["ppo"])
+        with_learner(experiment, PPO["ppo"])
 
 
 def test_the_policy_gradient_rejects_a_network_of_modes(tmp_path):

@@ -58,7 +58,7 @@ RECORDING = "time_s,track_id,x_m,y_m\n0,a,0,0\n0,b,5,1\n0.5,a,0.4,0.1\n1.25,b,4,
 
 
 def decision(run: Path) -> list[float]:
-    """What a run's policy does at the beginning of the first scene."""
+    """Decision of a run's policy at the beginning of the first scene."""
     experiment, policy, _ = load_run(run)
     problem = experiment.scenario.problem()
     episode = jax.tree.map(lambda x: x[0], prepare(problem, experiment.scenario.scenes, [TWO]).episodes)
@@ -85,15 +85,15 @@ def main() -> None:
     recording = load_recording(HERE / "recording.csv")
     (HERE / "recording.csv.sha256").write_text(f"{recording.sha256}  recording.csv\n")
 
-    world = Experiment()
-    problem = world.scenario.problem()
+    experiment = Experiment()
+    problem = experiment.scenario.problem()
     still = heuristic("still", problem, 2.0)
-    rows = evaluate(prepare(problem, world.scenario.scenes, [TWO, NONE]), "still", still, ("surrogate", "true"))
-    facts = {"run": "paper", "scenes": "scenes.json", "experiment": digest(world), "seed": 0}
+    rows = evaluate(prepare(problem, experiment.scenario.scenes, [TWO, NONE]), "still", still, ("surrogate", "true"))
+    facts = {"run": "paper", "scenes": "scenes.json", "experiment": digest(experiment), "seed": 0}
     write_result(HERE / "evaluation.json", rows, summarise(rows, 2), facts)
-    row, _ = drive(prepare_replay(world.scenario, recording, [0.0, 0.0, 0.0]), "still", still)
+    row, _ = drive(prepare_replay(experiment.scenario, recording, [0.0, 0.0, 0.0]), "still", still)
     facts = {"run": "paper", "recording": "recording.csv", "seed": 0}
-    write_document(HERE / "replay.json", "replay", VERSION, result([row], world, recording, facts))
+    write_document(HERE / "replay.json", "replay", VERSION, result([row], experiment, recording, facts))
     assert all((HERE / name / BEST).exists() for name in RUNS)
 
 

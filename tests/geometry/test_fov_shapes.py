@@ -1,4 +1,4 @@
-"""What all fields of view share: batches of points, outlines to draw, and one-line errors for wrong parameters."""
+"""All fields of view alike: batches of points, outlines to draw, and one-line errors for wrong parameters."""
 
 import math
 

@@ -25,7 +25,7 @@ EYE = ((1.0, 0.0), (0.0, 1.0))
 REVERSED = LinearTarget(kind="linear", A=EYE, B=EYE, W=EYE, Z=EYE[::-1], prior=EYE)
 PAGE = Path(__file__).parents[2] / "docs" / "gymnasium.md"
 COUNT = 4
-"""As in the page that is run below: what is alike is compiled once."""
+"""Equal to that of the page run below, so that programs are compiled once."""
 
 
 def make(**options):
@@ -106,7 +106,7 @@ def test_seeds_and_options():
     same(env.reset(seed=3), (first, info))
     same(env.reset(), (second, info))
     other, _ = make().reset()
-    assert not np.allclose(first["targets"], other["targets"]), "without a seed it is chance"
+    assert not np.allclose(first["targets"], other["targets"]), "without a seed episodes are random"
     assert info["score"] == pytest.approx(2 * np.log(0.5), abs=1e-6)  # Y_0 = 0.5 I in the plane
     for n in (3, 5):
         seen, _ = env.reset(options={"targets": n})

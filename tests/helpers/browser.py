@@ -70,6 +70,6 @@ def wait_for(happens, process=None, seconds=120.0):
     """Wait until something happens, while a process lives."""
     end = time.monotonic() + seconds
     while not happens():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, "timed out"
         assert process is None or process.poll() is None, "the browser has ended"
         time.sleep(0.4)

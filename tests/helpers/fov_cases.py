@@ -17,7 +17,7 @@ from foveate.geometry.fov_spatial import cone, frustum, intersection, prism
 
 POINTS = 20_000
 EVERY = 5
-"""Where derivatives are checked, one in 5 of them, of every stratum."""
+"""Points at which derivatives are checked, one in 5, of every stratum."""
 HEPTAGON = [[2.0 + math.cos(t), 0.5 + 0.4 * math.sin(t)] for t in (0.1, 0.9, 2.0, 2.8, 3.9, 4.4, 5.6)]
 
 
@@ -128,7 +128,7 @@ def plane(shape, normal, offset):
 def upright(base):
     """The prism over a case of the plane."""
 
-    def lifted(draw):
+    def embedded(draw):
         return lambda rng, given: np.insert(
             draw(rng, given if isinstance(given, int) else given[:, :2]), 2, 1.0, axis=1
         )
@@ -137,7 +137,7 @@ def upright(base):
         answer = base.oracle(points[:, :2])
         return answer._replace(gradient=np.insert(answer.gradient, 2, 0.0, axis=1))
 
-    draws = {name: lifted(getattr(base, name)) for name in ("boundary", "ridge", "medial")}
+    draws = {name: embedded(getattr(base, name)) for name in ("boundary", "ridge", "medial")}
     return Case(shape=prism(base.shape), oracle=oracle, **draws)
 
 

@@ -105,7 +105,7 @@ def halfspace_distance(points, faces):
 
 
 def search(points, piece, low, high, count):
-    """The nearest points (n, d) of a curve or family of them: the best of `count` tries, then compass search."""
+    """The nearest points (n, d) of a curve or family of them: the best of `count` samples, then compass search."""
     step = (high - low) / (count - 1)
     near = np.linspace(low, high, count)[None]
     each = np.arange(len(points))

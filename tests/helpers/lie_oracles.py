@@ -81,9 +81,9 @@ def assert_near(actual, expected, tolerance):
 def with_jacobians(function, samples):
     """The values and the Jacobians of the reverse and the forward mode, compiled as users compile them."""
 
-    def together(sample):
+    def batched(sample):
         return function(sample), jax.jacrev(function)(sample), jax.jacfwd(function)(sample)
 
-    results = [np.asarray(result) for result in jax.jit(jax.vmap(together))(samples)]
+    results = [np.asarray(result) for result in jax.jit(jax.vmap(batched))(samples)]
     assert all(result.dtype == samples.dtype for result in results)
     return results[0], results[1:]

@@ -4,6 +4,9 @@ import numpy as np
 
 from foveate.recordings.recording import Recording, Track
 
+DEPTH, ANGLE, TAU = 6.0, 90.0, 0.5
+"""View [m], [deg] and step [s] of the scenario in tests/recordings/conftest.py."""
+
 
 def track(times, positions, track_id="a") -> Track:
     return Track(track_id=track_id, times_s=np.asarray(times, float), positions_m=np.asarray(positions, float))

@@ -1,4 +1,4 @@
-"""What is written reads back the same; wrong input is rejected in one line that names file, key and value."""
+"""A written file reads back the same; wrong input is rejected in one line that names file, key and value."""
 
 import math
 import subprocess

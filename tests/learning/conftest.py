@@ -13,7 +13,7 @@ CACHE = {
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_once(tmp_path_factory):
-    """Every call of a trainer compiles anew: let them share their programs."""
+    """Share compiled programs between calls of a trainer, each of which would compile its own."""
     before = {name: getattr(jax.config, name) for name in CACHE}
     compilation_cache.reset_cache()
     for name, value in CACHE.items():

@@ -1,4 +1,4 @@
-"""The actor-critic against textbook formulas and a world of known value; it learns, and goes on where it stopped."""
+"""The actor-critic against textbook formulas and a problem of known value; it learns."""
 
 from dataclasses import replace
 from functools import partial
@@ -100,12 +100,12 @@ def test_the_return_equals_the_score_of_the_rollout(protocol):
     @eqx.filter_jit
     def both(key, objective):
         episode = training_episode(problem, scenes, key, noise=True)
-        tried = sample_trajectory(problem, policy, episode, PROTOCOLS[protocol], objective, jnp.asarray(1e-9), key)
-        return episode, tried, rollout(problem, policy, episode, PROTOCOLS[protocol], key)
+        trajectory = sample_trajectory(problem, policy, episode, PROTOCOLS[protocol], objective, jnp.asarray(1e-9), key)
+        return episode, trajectory, rollout(problem, policy, episode, PROTOCOLS[protocol], key)
 
     for seed in range(3):
         for objective in ("terminal", "mean", "seen"):
-            episode, tried, trace = both(jax.random.key(seed), objective)
+            episode, trajectory, trace = both(jax.random.key(seed), objective)
             n, K = int(np.sum(episode.present)), int(episode.horizon)
             log_det = np.asarray(trace.log_det)[:K, :n].mean(axis=1)
             prior = np.linalg.slogdet(np.asarray(problem.prior_information))[1]
@@ -114,8 +114,8 @@ def test_the_return_equals_the_score_of_the_rollout(protocol):
                 "mean": log_det.mean(),
                 "seen": np.asarray(trace.visible)[:K, :n].mean(),
             }
-            np.testing.assert_allclose(np.sum(tried.reward), expected[objective], atol=1e-6)
-            np.testing.assert_allclose(tried.action[:K], trace.action[:K], atol=1e-6)
+            np.testing.assert_allclose(np.sum(trajectory.reward), expected[objective], atol=1e-6)
+            np.testing.assert_allclose(trajectory.action[:K], trace.action[:K], atol=1e-6)
 
 
 @pytest.mark.slow
@@ -125,20 +125,20 @@ def test_loss_is_ppo_s_clipped_one():
     episode = training_episode(problem, TINY.scenario.scenes, jax.random.key(2), noise=True)
     action_std, rng = jnp.asarray(0.3), np.random.default_rng(3)
     policy, critic = learner.policy, learner.critic
-    tried = eqx.filter_jit(sample_trajectory)(
+    trajectory = eqx.filter_jit(sample_trajectory)(
         problem, policy, episode, PROTOCOLS["true"], "terminal", action_std, jax.random.key(5)
     )
-    rows = len(tried.reward)
-    old = np.asarray(tried.log_density) + rng.normal(0, 0.4, rows)  # as if the policy had moved on since
-    advantage, earned, counts = rng.normal(size=rows), rng.normal(size=rows), np.arange(rows) % 3 > 0
-    batch = Samples(tried.observation, tried.action, *map(jnp.asarray, (old, advantage, earned, counts)))
-    value, modes = (jax.jit(jax.vmap(f))(tried.observation) for f in (critic, policy.modes))
+    rows = len(trajectory.reward)
+    old = np.asarray(trajectory.log_density) + rng.normal(0, 0.4, rows)  # as if the policy had moved on since
+    advantage, returns, counts = rng.normal(size=rows), rng.normal(size=rows), np.arange(rows) % 3 > 0
+    batch = Samples(trajectory.observation, trajectory.action, *map(jnp.asarray, (old, advantage, returns, counts)))
+    value, modes = (jax.jit(jax.vmap(f))(trajectory.observation) for f in (critic, policy.modes))
     total = 0.0
     for i in np.flatnonzero(counts):
-        ratio = np.exp(float(tried.log_density[i]) - old[i])
+        ratio = np.exp(float(trajectory.log_density[i]) - old[i])
         gain = min(ratio * advantage[i], float(np.clip(ratio, 0.8, 1.2)) * advantage[i])
         choice = float(entropy(jax.tree.map(lambda x, i=i: x[i], modes)))
-        total += (float(value[i]) - earned[i]) ** 2 - gain - settings().entropy_weight * choice
+        total += (float(value[i]) - returns[i]) ** 2 - gain - settings().entropy_weight * choice
     found = eqx.filter_jit(loss)(policy, critic, batch, action_std, settings())
     np.testing.assert_allclose(found, total / counts.sum(), rtol=1e-9)
 
@@ -149,40 +149,42 @@ MIXED = replace(TINY.scenario.scenes, steps=None)
 
 @pytest.mark.slow
 def test_a_batch_mixes_both_protocols_and_masks_steps_after_the_end():
-    """The mean earned, the steps that count and the scale of advantages, from the tries one by one."""
+    """Mean return, counted steps and scale of advantages, from the trajectories one by one."""
     problem = TINY.scenario.problem()
     chosen = replace(settings(), protocols=("surrogate", "true"), episodes=12)
     learner = actor_critic.begin(problem, NETWORK.policy(problem, jax.random.key(0)), chosen, jax.random.key(1))
     action_std, key = jnp.asarray(0.3), jax.random.key(6)
-    samples, earned = eqx.filter_jit(gather)(problem, MIXED, chosen, learner, action_std, key)
+    samples, returns = eqx.filter_jit(gather)(problem, MIXED, chosen, learner, action_std, key)
     prior = np.linalg.slogdet(np.asarray(problem.prior_information))[1]
 
-    def one(scene_key, try_key, name):
+    def one(scene_key, trajectory_key, name):
         episode = training_episode(problem, MIXED, scene_key, noise=True)
-        return sample_trajectory(problem, learner.policy, episode, PROTOCOLS[name], "terminal", action_std, try_key)
+        return sample_trajectory(
+            problem, learner.policy, episode, PROTOCOLS[name], "terminal", action_std, trajectory_key
+        )
 
     each, advantage, counts = [], [], []
     for i, name in enumerate(chosen.protocols):
-        scene_keys, try_keys = (jax.random.split(k, 6) for k in jax.random.split(jax.random.fold_in(key, i)))
-        tried = jax.jit(jax.vmap(partial(one, name=name)))(scene_keys, try_keys)
-        value = jax.jit(jax.vmap(jax.vmap(learner.critic)))(tried.observation)
-        each += list(np.sum(tried.reward, axis=1))
-        counts.append(np.asarray(tried.counts))
+        scene_keys, trajectory_keys = (jax.random.split(k, 6) for k in jax.random.split(jax.random.fold_in(key, i)))
+        trajectory = jax.jit(jax.vmap(partial(one, name=name)))(scene_keys, trajectory_keys)
+        value = jax.jit(jax.vmap(jax.vmap(learner.critic)))(trajectory.observation)
+        each += list(np.sum(trajectory.reward, axis=1))
+        counts.append(np.asarray(trajectory.counts))
         of_all = jax.jit(jax.vmap(partial(advantages, gae_lambda=chosen.gae_lambda)))
-        advantage.append(of_all(tried.reward, value, tried.counts))
+        advantage.append(of_all(trajectory.reward, value, trajectory.counts))
     counts, advantage = np.concatenate(counts), np.concatenate(advantage)
     assert set(counts.sum(axis=1)) == {3, 6}
-    np.testing.assert_allclose(earned, prior + np.mean(each), rtol=1e-9)
+    np.testing.assert_allclose(returns, prior + np.mean(each), rtol=1e-9)
     np.testing.assert_array_equal(samples.counts.reshape(counts.shape), counts)
     real = advantage[counts]
     np.testing.assert_allclose(samples.advantage[counts.ravel()], (real - real.mean()) / real.std(), atol=1e-6)
-    chances = [np.asarray(samples.log_density.reshape(counts.shape)[rows]) for rows in (slice(0, 6), slice(6, 12))]
-    assert not np.allclose(*chances), "the halves are of different episodes"
+    densities = [np.asarray(samples.log_density.reshape(counts.shape)[rows]) for rows in (slice(0, 6), slice(6, 12))]
+    assert not np.allclose(*densities), "the halves are of different episodes"
 
 
 @pytest.mark.slow
 def test_learns(tmp_path):
-    """That it goes on as if undisturbed is in test_killed.py."""
+    """Resuming as if undisturbed is tested in test_killed.py."""
     checks = []
     outcome = train(TINY, tmp_path / "a", seed=3, on_validation=lambda check, total: checks.append(check))
     assert outcome.epochs == 40

@@ -1,4 +1,4 @@
-"""Batches shared out over devices and processes, and a process that is lost, each in processes of their own."""
+"""Batches sharded over devices and processes, and a lost process, each in processes of their own."""
 
 import contextlib
 import json
@@ -204,7 +204,7 @@ def test_processes_use_the_values_of_the_first(monkeypatch):
     numbers = (0.1, -3.0, float("inf"))
     assert devices.from_first_process(*numbers) == numbers
     monkeypatch.setattr(jax, "process_count", lambda: 2)
-    monkeypatch.setattr(devices.multihost_utils, "broadcast_one_to_all", lambda told: told)
+    monkeypatch.setattr(devices.multihost_utils, "broadcast_one_to_all", lambda value: value)
     assert devices.from_first_process(*numbers) == numbers, "bit for bit, in float32 too"
 
 

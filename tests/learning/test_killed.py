@@ -1,4 +1,4 @@
-"""Killed at random moments, also within a write, a training goes on to the very same files as one left alone.
+"""A training killed at random moments, also within a write, resumes to the same files as an undisturbed one.
 
 Death is played by a disk that stops: the operation under way is done by half, all later ones not at all, not even
 cleaning up. One process is really killed, and `make kill` kills many.
@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
-from endurance.kill import MODEL, TRYING, await_checks, checks, start
+from endurance.kill import ACTOR_CRITIC, MODEL, await_checks, checks, start
 
 import foveate.experiment.checkpoint as checkpoint
 import foveate.io.files as files
@@ -31,7 +31,7 @@ from foveate.learning.train import train
 
 KILLS = 20
 KINDS = ("write .jsonl", "write .tmp", "fsync", "replace")
-"""What is done to the disk. The first deaths are one of each kind, the others as it comes."""
+"""Operations on the disk. The first kills are at one of each kind, the others at random."""
 
 
 class Killed(BaseException):
@@ -45,7 +45,7 @@ class Disk:
         self.rng, self.left, self.kind, self.dead, self.moments = rng, np.inf, None, False, []
 
     def live(self, left, kind=None):
-        """Until so many operations, of one kind if it is given, are done."""
+        """Wait until N operations, of one kind if given, are done."""
         self.left, self.kind, self.dead = left, kind, False
 
     def step(self, what, whole, half=lambda: None):
@@ -100,7 +100,7 @@ def mortal(monkeypatch):
 
 @pytest.fixture(autouse=True, scope="module")
 def traced_once():
-    """Each call of a trainer traces its programs anew, and with every annotation checked a digest takes long."""
+    """Each call of a trainer traces its programs again, and checking every annotation makes a digest slow."""
     known, now = {}, []
     begin, jit, held_out = training._begin, training.eqx.filter_jit, training.held_out_episodes
     advance_of = training.advance_of
@@ -134,7 +134,7 @@ def untimed(run):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiment", [MODEL, TRYING], ids=["policy-gradient", "actor-critic"])
+@pytest.mark.parametrize("experiment", [MODEL, ACTOR_CRITIC], ids=["policy-gradient", "actor-critic"])
 def test_killed_at_random_moments_it_ends_the_same(experiment, tmp_path, monkeypatch):
     undisturbed = train(experiment, tmp_path / "a", seed=3)
     disk = mortal(monkeypatch)

@@ -1,4 +1,4 @@
-"""Training: it learns, twice the same, goes on where it stopped, and keeps its best whatever happens."""
+"""Training: it learns, is reproducible, resumes where it stopped, and keeps its best policy."""
 
 import json
 import math
@@ -80,7 +80,7 @@ def test_training_improves_the_score_and_reports_it(undisturbed):
     problem = TINY.scenario.problem()
     episodes = held_out_episodes(TINY, problem, keys[1])
     score, _ = eqx.filter_jit(lambda p: validate(TINY, problem, p, episodes, keys[3]))(policy)
-    assert float(score) == outcome.best_score, "the file holds the policy that earned the score"
+    assert float(score) == outcome.best_score, "the file holds the policy of that score"
     assert list(run.glob("events*")), "TensorBoard reads the run folder"
 
 
@@ -111,7 +111,7 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     ]
     assert untimed[0] == untimed[1]
     elapsed = [line["elapsed_s"] for line in lines(tmp_path / "b")]
-    assert elapsed == sorted(elapsed), "the clock goes on, too"
+    assert elapsed == sorted(elapsed), "the clock resumes, too"
 
 
 def same_arrays(one, other):

@@ -1,4 +1,4 @@
-"""What follows a validation: the best is kept, a collapse is rolled back, and a training without hope stops."""
+"""Selection after a validation: the best is kept, a collapse is rolled back, and a training without progress stops."""
 
 import math
 

@@ -117,7 +117,7 @@ def test_equals_reverse_mode_and_central_differences(name):
 
 @pytest.mark.slow
 def test_the_paper_s_planar_policy_through_the_lift():
-    """Its gradient in the plane, by reverse mode, is Proposition 1's on the floor of space."""
+    """Its gradient in the plane, by reverse mode, is Proposition 1's in the plane z = 0 of space."""
     problem = Scenario().problem()
     policy = SMALL.policy(problem, jax.random.key(3))
     rng = np.random.default_rng(5)

@@ -20,7 +20,7 @@ def covariance(rng, size, scale=1.0):
     return scale * (root @ root.T + 0.2 * np.eye(size))
 
 
-class World:
+class System:
     """Random full matrices; A has spectral radius about 0.95, so that 50 steps stay in range."""
 
     def __init__(self, n_y, n_z, m_y, singular=False):
@@ -39,7 +39,7 @@ class World:
         self.visible = rng.random(50) < 0.4
 
     def information_filter(self):
-        """What foveate makes of it: means and covariances after each of 50 steps."""
+        """Means and covariances by foveate after each of 50 steps."""
         motion = LinearGaussian(*(jnp.asarray(x) for x in (self.A, self.B, self.W)), Z=jnp.eye(1, len(self.A)))
         H, V = jnp.asarray(self.H), jnp.asarray(self.V)
         gain = jnp.asarray(self.H.T @ np.linalg.solve(self.V, self.H))
@@ -88,10 +88,10 @@ class World:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_equals_covariance_form_filters(shape):
-    world = World(*shape)
-    assert 5 < world.visible.sum() < 45
-    means, covariances = world.information_filter()
-    for oracle in (world.textbook, world.filterpy):
+    system = System(*shape)
+    assert 5 < system.visible.sum() < 45
+    means, covariances = system.information_filter()
+    for oracle in (system.textbook, system.filterpy):
         expected_means, expected_covariances = oracle()
         np.testing.assert_allclose(means, expected_means, rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(covariances, expected_covariances, rtol=1e-10, atol=1e-10)
@@ -100,10 +100,10 @@ def test_equals_covariance_form_filters(shape):
 @pytest.mark.parametrize("shape", [(2, 1, 2), (4, 2, 2)])
 def test_singular_motion(shape):
     """The paper's printed form needs A^-1; W makes up for what A loses."""
-    world = World(*shape, singular=True)
-    assert np.linalg.matrix_rank(world.A) == shape[0] - 1
-    means, covariances = world.information_filter()
-    expected_means, expected_covariances = world.textbook()
+    system = System(*shape, singular=True)
+    assert np.linalg.matrix_rank(system.A) == shape[0] - 1
+    means, covariances = system.information_filter()
+    expected_means, expected_covariances = system.textbook()
     np.testing.assert_allclose(means, expected_means, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(covariances, expected_covariances, rtol=1e-10, atol=1e-10)
 

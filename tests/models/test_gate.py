@@ -18,7 +18,7 @@ from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import TRUE, Episode, Truth
 from foveate.simulation.rollout import rollout
 
-WORLD = Scenario(view=SectorView(depth_m=1e6, angle_deg=360.0))
+SCENARIO = Scenario(view=SectorView(depth_m=1e6, angle_deg=360.0))
 LIMIT = gate_limit(GATE, 2)
 
 
@@ -51,7 +51,7 @@ def test_one_point_is_the_update_of_a_flat_prior_on_position():
 
 def drive(steps, wild, gate=LIMIT):
     """A target in view that stands still; `wild` are jumps [m] of its place, by step."""
-    problem = WORLD.problem()
+    problem = SCENARIO.problem()
     state = np.zeros((steps + 1, 1, 2))
     for step, jump in wild.items():
         state[step + 1, 0, 0] += jump
@@ -88,12 +88,12 @@ def test_a_target_that_jumps_restarts_its_belief():
     assert RESTART_AFTER == 5
     assert trace.visible[6:12, 0].tolist() == [False] * 4 + [True] * 2
     np.testing.assert_allclose(trace.mean[11:, 0], [[100.0, 0.0]] * 6, atol=1.0)
-    V = np.asarray(WORLD.problem().sensor.V)
+    V = np.asarray(SCENARIO.problem().sensor.V)
     np.testing.assert_allclose(trace.information[11, 0], np.linalg.inv(V), rtol=1e-9)
 
 
 def test_the_tracker_does_the_same():
-    tracker = Tracker(WORLD)
+    tracker = Tracker(SCENARIO)
     tracker.add("a", [0.0, 0.0])
     tracker.add("b", [1.0, 0.0])
     seen = []
@@ -105,5 +105,5 @@ def test_the_tracker_does_the_same():
     assert tracker.ids == ("a", "b")
     assert tracker.rejected == {"a": 4}
     np.testing.assert_allclose(tracker.mean[0], [100.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(tracker.covariance[0], WORLD.problem().sensor.V, rtol=1e-6)
+    np.testing.assert_allclose(tracker.covariance[0], SCENARIO.problem().sensor.V, rtol=1e-6)
     assert tracker.unseen_s.tolist() == [0.0, 0.0]

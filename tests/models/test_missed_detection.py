@@ -1,4 +1,4 @@
-"""Beliefs of targets that were looked for in vain: scipy's truncated normal, rejection sampling, an honest NEES."""
+"""Beliefs after missed detections, against scipy's truncated normal, rejection sampling, and a consistent NEES."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def test_half_a_plane_in_view_leaves_a_truncated_normal(edge):
 
 
 def test_states_correlated_with_the_position_move_along():
-    """Position and velocity that hang together, a disc in view: as of 400,000 samples of which those outside stay."""
+    """Correlated position and velocity, a disc in view: moments of those of 400,000 samples that are outside."""
     rng = np.random.default_rng(0)
     root = rng.normal(size=(4, 4)) * [[1.0], [1.0], [0.5], [0.5]]
     mean, covariance = np.array([0.5, 0.2, 1.0, -1.0]), root @ root.T + 0.1 * np.eye(4)
@@ -85,7 +85,7 @@ def test_states_correlated_with_the_position_move_along():
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_an_empty_or_full_view_gives_no_information(inside):
-    """Nothing in view: nothing was to be expected. All of it: the belief was wrong altogether."""
+    """Nothing in view: no detection was expected. All of it: the belief was wrong."""
     belief = gaussian([0.3, -2.0], np.diag([2.0, 1.0]))
     left = given_missed_detection(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
     np.testing.assert_array_equal(left.mean, belief.mean)
@@ -93,11 +93,11 @@ def test_an_empty_or_full_view_gives_no_information(inside):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("absence", "is_honest"), [(None, False), ("used", True)])
-def test_a_filter_that_uses_missed_detections_is_consistent(absence, is_honest):
-    """Targets anywhere about one who stands still; those count that were believed to be in view, and were not seen."""
+@pytest.mark.parametrize(("missed_detections", "is_honest"), [(None, False), ("used", True)])
+def test_a_filter_that_uses_missed_detections_is_consistent(missed_detections, is_honest):
+    """Targets around an agent that stands still; those count that were believed in view and were not detected."""
     scenario = Scenario(
-        sensor=SensorSettings(missed_detections=absence), scenes=SceneSettings(initial_error="consistent")
+        sensor=SensorSettings(missed_detections=missed_detections), scenes=SceneSettings(initial_error="consistent")
     )
     problem, places = scenario.problem(), np.random.default_rng(0).uniform(-1, 1, (300, 20, 2)) * [4, 5] + [1, 0]
     still = ((0.0, 0.0),) * 20
@@ -109,7 +109,7 @@ def test_a_filter_that_uses_missed_detections_is_consistent(absence, is_honest):
     trace = evaluate_traces(suite, heuristic("still", problem, 2.0), TRUE)
     error = trace.mean[:, 1] - np.asarray(suite.truth.state)[:, 1]
     nees = np.einsum("eni,enij,enj->en", error, trace.information[:, 1], error)
-    in_vain = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible[:, 0]
-    low, high = chi_square_band(2, int(in_vain.sum()))
-    assert in_vain.sum() > 200
-    assert (low < nees[in_vain].mean() < high) == is_honest
+    missed = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible[:, 0]
+    low, high = chi_square_band(2, int(missed.sum()))
+    assert missed.sum() > 200
+    assert (low < nees[missed].mean() < high) == is_honest

@@ -35,9 +35,9 @@ def test_mean_and_band_over_seeds():
 
 def test_both_agents_are_drawn_in_their_own_colour():
     axes = drawing.new_figure(3.0, 3.0).subplots()
-    films = (random_episode(seed=1), random_episode(seed=2))
-    for one, tint in zip(films, figures.DUEL, strict=True):
-        drawing.PlanarScene(axes, one, drawing.limits(films), tint=tint).show(12)
+    episodes = (random_episode(seed=1), random_episode(seed=2))
+    for one, tint in zip(episodes, figures.DUEL, strict=True):
+        drawing.PlanarScene(axes, one, drawing.limits(episodes), tint=tint).show(12)
     paths = [line for line in axes.lines if isinstance(line, Line2D) and line.get_color() in figures.DUEL]
     assert {line.get_color() for line in paths} == set(figures.DUEL)
     assert drawing.SEEN not in {line.get_color() for line in axes.lines}

@@ -114,14 +114,14 @@ def test_view_and_agent_are_moved_by_the_pose():
 def test_drop_lines_end_on_the_ground():
     which = made_up(3, 2)
     shown = scene(which, SUBSTEPS)
-    floor = SpatialScene.limits([which])[0, 2]
+    lowest = SpatialScene.limits([which])[0, 2]
     posts = np.append(which.truth[1], which.pose[1, None, :3, 3], axis=0)
     drops = line(shown.drops).reshape(-1, 3, 3)
     np.testing.assert_allclose(drops[:, 0], posts)
     np.testing.assert_allclose(drops[:, 1, :2], posts[:, :2])
-    assert (drops[:, 1, 2] == floor).all()
+    assert (drops[:, 1, 2] == lowest).all()
     np.testing.assert_allclose(line(shown.shadows), drops[:, 1])
-    assert (line(shown.path_shadow)[:, 2] == floor).all()
+    assert (line(shown.path_shadow)[:, 2] == lowest).all()
 
 
 def test_colour_follows_the_measurement_of_the_instant():

@@ -37,7 +37,7 @@ def decide(policy, observation, key):
 
 
 def steered_to(control, pose, goal):
-    """Whether a command turns the shorter way to `goal`, as far as it can, and does not drive away from it."""
+    """True if a command turns the shorter way to `goal`, as far as it can, and does not drive away from it."""
     bearing = np.arctan2(*(np.asarray(goal) - pose[:2])[::-1]) - pose[2]
     bearing = (bearing + np.pi) % (2 * np.pi) - np.pi
     turns = np.isclose(control[1], np.clip(bearing, -np.pi / 3, np.pi / 3), atol=1e-9)

@@ -1,4 +1,4 @@
-"""The environment against `rollout`: the same step, the same scores, and episodes that begin anew in a batch."""
+"""The environment against `rollout`: the same step, the same scores, and new episodes in a batch."""
 
 import equinox as eqx
 import jax
@@ -30,7 +30,7 @@ CASES = {
 }
 
 
-def world(name: str) -> Environment:
+def environment_of(name: str) -> Environment:
     scenario, protocol, noise = CASES[name]
     return Environment(scenario.problem(), scenario.scenes, protocol, noise)
 
@@ -54,7 +54,7 @@ def played(environment: Environment, key, policy: Policy):
 @pytest.mark.parametrize("name", CASES)
 def test_stepped_is_rolled_out(name: str):
     """`rollout` has textbook oracles of its own: what is stepped must be what it simulates."""
-    environment = world(name)
+    environment = environment_of(name)
     policy = AttentionSettings().policy(environment.problem, jax.random.key(1))
     for seed in range(4):
         horizon, trace, first, stepped = played(environment, jax.random.key(seed), policy)
@@ -63,7 +63,7 @@ def test_stepped_is_rolled_out(name: str):
         assert done.tolist() == [False] * (int(horizon) - 1) + [True]
         assert float(rewards.sum()) == pytest.approx(float(scores[-1] - first), abs=1e-9)
         there = np.array(trace.present[1 : horizon + 1] & trace.present[:horizon])
-        if environment.protocol != SOFT:  # the trace tells the log dets of the last level only
+        if environment.protocol != SOFT:  # the trace holds the log dets of the last level only
             expected = [
                 np.mean(row[mask]) if mask.any() else 0.0
                 for row, mask in zip(np.array(trace.log_det[:horizon]), there, strict=True)
@@ -73,7 +73,7 @@ def test_stepped_is_rolled_out(name: str):
 
 @pytest.mark.slow
 def test_scores_of_several_levels_are_their_mean():
-    """Two soft levels alone and together: what both earn is halfway between what each does."""
+    """Two soft levels, one by one and both: the score of both is the mean of their scores."""
     easy, hard = SURROGATE.levels[0], SOFT.levels[1]
     last = []
     for levels in ((easy,), (hard,), (easy, hard)):
@@ -86,8 +86,8 @@ def test_scores_of_several_levels_are_their_mean():
 
 @pytest.mark.slow
 def test_a_first_score_is_that_of_the_prior():
-    """Y_0 = 0.5 I in the plane: log det = 2 log 0.5, whoever is there."""
-    moment = reset(world("surrogate, no noise"), jax.random.key(0))
+    """Y_0 = 0.5 I in the plane: log det = 2 log 0.5, for any number of targets."""
+    moment = reset(environment_of("surrogate, no noise"), jax.random.key(0))
     assert float(moment.score) == pytest.approx(2 * np.log(0.5), abs=1e-12)
 
 
@@ -119,16 +119,16 @@ def alone(environment: Environment, key, actions):
 def test_a_batch_is_its_environments_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch):
     """Through several ends of episodes, also where more are over at once than are drawn at once."""
     monkeypatch.setattr(under_test, "CHUNK", 2)
-    environment, count, steps = world(name), 6, 20
+    environment, count, steps = environment_of(name), 6, 20
     keys = jax.random.split(jax.random.key(7), count)
     actions = jax.random.uniform(jax.random.key(8), (steps, count, 2), minval=-1.2, maxval=1.2)
-    together = batch(environment, keys, actions)
-    ends = np.array(together[0].done)
+    batched = batch(environment, keys, actions)
+    ends = np.array(batched[0].done)
     assert ends.sum() > 2 * count, "the test must go through fresh episodes of fresh episodes"
     assert ends.sum(axis=1).max() > 2, "and through more ends at once than a chunk has rows"
-    assert np.array(together[1].step)[ends].tolist() == [0] * ends.sum()
+    assert np.array(batched[1].step)[ends].tolist() == [0] * ends.sum()
     for i in range(count):
-        close(jax.tree.map(lambda part, i=i: part[:, i], together), alone(environment, keys[i], actions[:, i]))
+        close(jax.tree.map(lambda part, i=i: part[:, i], batched), alone(environment, keys[i], actions[:, i]))
 
 
 def close(one, other) -> None:
@@ -138,7 +138,7 @@ def close(one, other) -> None:
 
 
 def test_episodes_one_after_another_differ():
-    environment = world("surrogate, no noise")
+    environment = environment_of("surrogate, no noise")
     first = reset(environment, jax.random.key(0))
     second = reset(environment, first.key)
     assert not np.allclose(first.predicted.mean, second.predicted.mean)

@@ -1,4 +1,4 @@
-"""Scenes and chance: their distributions by statistical tests at fixed seeds, and what must not change a number."""
+"""Distributions of scenes and noise by statistical tests at fixed seeds, and invariance of the numbers."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -46,7 +46,7 @@ def test_scenes_of_the_paper(test):
     assert uniform(agent, -2, 2) if test else uniform(agent / (1.25 * side), -1, 1)
     assert uniform(scenes.drift[:, 0], -0.8, 0.8)
     np.testing.assert_array_equal(scenes.drift, scenes.drift[:, :1] * np.ones((1, 8, 1)))
-    for axis in range(2):  # nothing hangs together with anything else
+    for axis in range(2):  # all are independent
         several = [scenes.pose[:, axis], scenes.position[:, 0, axis] / side[:, 0], scenes.drift[:, 0, axis], n]
         correlation = np.corrcoef([*several, scenes.position[:, 1, 0] / side[:, 0], scenes.pose[:, 2]])
         assert np.abs(correlation - np.eye(6)).max() < 0.08
@@ -131,7 +131,7 @@ def test_truth_of_drifting_targets():
     np.testing.assert_allclose(truth[:, 0], scene.position, atol=1e-12)
     jitter = episode.inputs / 0.5 - scene.drift[:, None]
     assert uniform(jitter, -0.5, 0.5)
-    assert abs(np.corrcoef(jitter[:, 0, 0, 0], jitter[:, 1, 0, 0])[0, 1]) < 0.08, "anew at each step"
+    assert abs(np.corrcoef(jitter[:, 0, 0, 0], jitter[:, 1, 0, 0])[0, 1]) < 0.08, "resampled at each step"
     assert abs(np.corrcoef(jitter[:, 0, 0, 0], jitter[:, 0, 1, 0])[0, 1]) < 0.08, "each target its own"
     np.testing.assert_allclose(covariance_of(truth[:, 1:] - truth[:, :-1] - episode.inputs), W, atol=2e-3)
     np.testing.assert_allclose(covariance_of(episode.mean - truth[:, 0]), V, atol=2e-3)

@@ -23,7 +23,7 @@ from foveate.simulation.rollout import log_dets, rollout
 
 SMALL = AttentionSettings(agent_widths=(8, 6), target_widths=(8, 6), out_widths=(8,))
 FEW = {"targets_min": 2, "targets_max": 3, "half_side_per_target_m": 0.6}
-WORLDS = {
+SCENARIOS = {
     "the paper": Scenario(scenes=SceneSettings(**FEW)),
     "velocities in a sector, steps of two lengths": Scenario(
         view=SectorView(depth_m=4.0, angle_deg=100.0),
@@ -36,9 +36,9 @@ WORLDS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "frame"), [*zip(WORLDS, ["world", "body"], strict=True)])
+@pytest.mark.parametrize(("name", "frame"), [*zip(SCENARIOS, ["world", "body"], strict=True)])
 def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
-    scenario = WORLDS[name]
+    scenario = SCENARIOS[name]
     problem = scenario.problem()
     spatial = embedded_problem(problem)
     policy = AttentionSettings(**{**vars(SMALL), "frame": frame}).policy(problem, jax.random.key(2))
@@ -71,15 +71,15 @@ def test_trajectories_beliefs_scores_and_gradients_agree(name, frame):
     np.testing.assert_allclose(spatial_slope, slope, rtol=0, atol=1e-10 * np.linalg.norm(slope))
 
 
-def test_a_policy_with_memory_is_lifted_too():
+def test_a_policy_with_memory_is_embedded_too():
     problem = Scenario().problem()
     mower = Lawnmower(problem, 0.0)
     episode = training_episode(problem, SceneSettings(), jax.random.key(1), noise=False)
     planar = eqx.filter_jit(rollout)(problem, mower, episode, SURROGATE, jax.random.key(0))
-    lifted = eqx.filter_jit(rollout)(
+    embedded = eqx.filter_jit(rollout)(
         embedded_problem(problem), EmbeddedPolicy(mower), embedded_episode(episode), SURROGATE, jax.random.key(0)
     )
-    np.testing.assert_allclose(lifted.action, planar.action, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(embedded.action, planar.action, rtol=1e-9, atol=1e-9)
 
 
 def test_unsupported_planar_problems_are_rejected():

@@ -45,8 +45,8 @@ class Feedback(Policy):
 
 
 @dataclass(frozen=True)
-class World:
-    """One problem and episode as numpy arrays, and the simulation that the real one is held against."""
+class Case:
+    """One problem and episode as numpy arrays, and the simulation that foveate's is compared with."""
 
     A: np.ndarray
     B: np.ndarray
@@ -191,7 +191,7 @@ def soft_weight(distance, offset, kappa):
     return 1 - 0.5 * (1 + erf(distance / (np.sqrt(2) * kappa) - offset))
 
 
-def world(n_y=2, n=3, K=14, seed=8, **changes):
+def case_of(n_y=2, n=3, K=14, seed=8, **changes):
     """n_y = 2: the paper's kind of target. n_y = 4: full matrices, A singular, noise in the body frame that grows."""
     rng = np.random.default_rng([seed, n_y])
     A, B, W, H = np.eye(2), np.eye(2), 0.05**2 * np.eye(2), np.eye(2)
@@ -212,7 +212,7 @@ def world(n_y=2, n=3, K=14, seed=8, **changes):
         truth.append(truth[-1] @ A.T + xi @ B.T + rng.multivariate_normal(np.zeros(n_y), W, n))
     truth = np.array(truth)
     features = n_y + n_y * (n_y + 1) // 2 + B.shape[1] + 3 + 1
-    return World(
+    return Case(
         *(A, B, W, H, V, prior),
         pose=np.array([0.2, -0.4, 2.0]),
         first_mean=truth + 0.3 * rng.normal(size=truth.shape),
@@ -231,12 +231,12 @@ def run(problem, policy, episode, protocol):
 
 
 @eqx.filter_jit
-def earned(problem, policy, episode, protocol):
+def mean_log_dets(problem, policy, episode, protocol):
     return log_dets(problem, policy, episode, protocol, jax.random.key(0))
 
 
 def check(case, protocol):
-    """Everything in the trace against the numpy simulation, where the targets are there."""
+    """The whole trace against the numpy simulation, where targets are present."""
     trace = run(case.problem(), case.policy(), case.episode(), protocol)
     levels = [tuple(level) for level in protocol.levels]
     pose, action, mean, covariance, visible = case.simulate(levels, protocol.at_truth)
@@ -260,7 +260,7 @@ CASES["mixture at truth"] = (2, Protocol(MIXTURE.levels, at_truth=True))
 
 @pytest.mark.parametrize(("n_y", "protocol"), CASES.values(), ids=CASES)
 def test_an_episode_with_truth(n_y, protocol):
-    case = world(n_y)
+    case = case_of(n_y)
     trace, visible = check(case, protocol)
     assert 0.1 < visible.mean() < 0.9, "an episode in which all or nothing is seen shows too little"
     if len(protocol.levels) > 1:
@@ -271,20 +271,20 @@ def test_an_episode_with_truth(n_y, protocol):
 
 def test_training_differentiates_the_mean_log_det_over_levels():
     """Without truth, as in the paper's training: log dets, in the mean over the levels; nothing is really seen."""
-    case = replace(world(2), truth=None)
+    case = replace(case_of(2), truth=None)
     _, _, mean, covariance, visible = case.simulate([tuple(level) for level in MIXTURE.levels])
     assert not visible.any()
     np.testing.assert_allclose(mean[-1], case.first_mean[0] + case.inputs.sum(axis=0), atol=1e-12)
     levels = -np.linalg.slogdet(covariance[1:])[1]
     assert np.abs(levels[:, 0] - levels[:, 1]).max() > 0.1
     np.testing.assert_allclose(
-        earned(case.problem(), case.policy(), case.episode(), MIXTURE), levels.mean(axis=1), rtol=1e-9, atol=1e-9
+        mean_log_dets(case.problem(), case.policy(), case.episode(), MIXTURE), levels.mean(axis=1), rtol=1e-9, atol=1e-9
     )
 
 
 def test_the_mean_is_corrected_from_the_same_measurements_under_both_protocols():
-    """With actions that do not depend on the belief, the world is the same; only the gain differs."""
-    case = world(2)
+    """With actions that do not depend on the belief, the truth is the same; only the gain differs."""
+    case = case_of(2)
     case = replace(case, weights=case.weights * (np.arange(case.weights.shape[1]) >= 7))  # pose and time only
     for protocol in (TRUE, SURROGATE):
         check(case, protocol)
@@ -296,7 +296,7 @@ def ahead_of(pose):
 
 
 def test_padding_does_not_matter():
-    case, wide = world(2), world(2, n=5, K=18, seed=9)
+    case, wide = case_of(2), case_of(2, n=5, K=18, seed=9)
     K, n = case.inputs.shape[:2]
     rows, steps = (slice(0, n),), slice(0, K)
     first_mean, inputs = wide.first_mean.copy(), wide.inputs.copy()
@@ -319,7 +319,7 @@ def test_padding_does_not_matter():
 
 def test_targets_that_come_and_go():
     """Column 0 serves two targets in turn; 1 comes late; 2 leaves; 3 was always there; 4 comes for one instant."""
-    case = world(2, n=5, K=14)
+    case = case_of(2, n=5, K=14)
     present = np.zeros((15, 5), bool)
     for column, first, last in [(0, 0, 5), (0, 8, 14), (1, 3, 14), (2, 0, 6), (3, 0, 14), (4, 9, 9)]:
         present[first : last + 1, column] = True
@@ -337,7 +337,7 @@ def test_targets_that_come_and_go():
 
 
 def test_float32_stays_float32_and_near():
-    case = world(2)
+    case = case_of(2)
 
     def single(tree):
         def narrow(x):
@@ -373,7 +373,7 @@ def check_gradient(function, weights, places):
 @pytest.fixture(scope="module")
 def noisy():
     """Total log det of a small episode with truth, as a function of the policy's weights, with its gradient."""
-    case = world(2, n=2, K=6)
+    case = case_of(2, n=2, K=6)
     problem, episode, key = case.problem(), case.episode(), jax.random.key(0)
 
     def total(weights):
@@ -396,7 +396,7 @@ def test_gradient_of_log_dets(noisy, straight):
 @pytest.mark.slow
 def test_gradient_through_the_papers_network():
     """Noise-free, as the paper trains it."""
-    case = replace(world(2, n=2, K=6), truth=None)
+    case = replace(case_of(2, n=2, K=6), truth=None)
     problem, episode, key = case.problem(), case.episode(), jax.random.key(0)
     settings = AttentionSettings(agent_widths=(4, 4), target_widths=(6, 4), out_widths=(5,), frame="world")
     shapes, rng = eqx.filter_eval_shape(lambda: settings.policy(problem, key)), np.random.default_rng(0)

@@ -224,7 +224,7 @@ def test_a_body_and_its_view_in_space():
 
 
 class Ending(Policy):
-    """Drives the faster the nearer the end is, and turns to one side by chance."""
+    """Drive faster the nearer the end is, and turn to a random side."""
 
     def __call__(self, observation, memory, key):
         del memory

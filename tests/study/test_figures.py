@@ -27,7 +27,7 @@ def overall(method, seconds, mean, family="planned", protocol="true") -> Overall
 
 
 def brute_force_front(points):
-    """Names of those whom nobody beats: as fast and better, or faster and as good."""
+    """Names of the Pareto-optimal: none is as fast and better, or faster and as good."""
     return {
         a.method
         for a in points

@@ -46,12 +46,12 @@ def test_points_equal_an_evaluation():
 
 
 def test_the_table_omits_a_meaningless_normalised_score():
-    """Where a method passes the omniscient planner, that planner is the weak one."""
+    """A method may pass the omniscient planner, which is then the weaker of the two."""
     best = [replace(one, scores=(9.0 if one.value == 1.0 else 2.0,) * 12) for one in random_points()[-2:]]
     found = robustness([DOUBLING], [*random_points()[:-2], *best])
     mean = SCORES.mean(axis=(0, 2))
-    (_, method, *cells), (_, ceiling, *highest) = found.rows
-    assert (method, ceiling, highest[0]) == ("net", "omniscient", "9.00 ± 0.00")
+    (_, method, *cells), (_, oracle, *highest) = found.rows
+    assert (method, oracle, highest[0]) == ("net", "omniscient", "9.00 ± 0.00")
     assert cells[0].startswith(f"{mean[0]:.2f} ± ")
     assert [cell.rpartition(" ")[2] for cell in cells] == [f"({(mean[0] + 1) / 10:.2f})", "(-)"]
 

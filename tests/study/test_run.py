@@ -98,8 +98,8 @@ def test_jobs_follow_their_dependencies(tmp_path):
 
 
 def test_every_job_runs_once_and_is_loaded_again(tmp_path):
-    told = []
-    found = reproduce(a_study(), tmp_path, lambda done, what: told.append((done, what)))
+    reports = []
+    found = reproduce(a_study(), tmp_path, lambda done, what: reports.append((done, what)))
     parts, trained = found.parts, found.trained
     assert CALLS == [
         "planner surrogate None",
@@ -118,8 +118,8 @@ def test_every_job_runs_once_and_is_loaded_again(tmp_path):
     ]
     assert {row.scene for row in parts[0].rows} == {f"{word}-1-0{i}" for word in ("unbiased", "biased") for i in (0, 1)}
     assert [(one.name, one.seed, one.outcome.best_score) for one in trained] == [("net", 0, 2.0), ("net", 10, 2.0)]
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
-    assert (0, "planner, surrogate: 4 of 4 episodes") in told
+    assert [done for done, _ in reports] == sorted(done for done, _ in reports)
+    assert (0, "planner, surrogate: 4 of 4 episodes") in reports
     CALLS.clear()
     times = {path: path.stat().st_mtime_ns for path in (tmp_path / JOBS).iterdir()}
     assert reproduce(a_study(), tmp_path) == found

@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from evaluation.test_comparison import BASE, LOWEST, OTHER, SCENES, SEEDS, rows
-from evaluation.test_comparison import comparison as comparison  # a fixture
+from helpers.comparisons import BASE, LOWEST, OTHER, SCENES, SEEDS, made_up, rows
 from scipy import stats
 
 from foveate.evaluation.comparison import Part, compare
@@ -12,7 +11,8 @@ from foveate.io.tables import markdown
 from foveate.study.tables import tables
 
 
-def test_tables_show_the_comparison(comparison):
+def test_tables_show_the_comparison():
+    comparison = made_up()
     found = tables(comparison, "true")
     text = markdown("Made up", {"scenes": "8"}, found, {"a.png": "a picture"})
     scores = found[0]

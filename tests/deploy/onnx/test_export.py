@@ -98,7 +98,7 @@ def beliefs(experiment, count=COUNT, most=MOST, seed=0):
 
 @eqx.filter_jit
 def decided(problem, policy, arrays):
-    """What the JAX policy commands, one decision after the other."""
+    """Commands of the JAX policy, one decision after the other."""
 
     def one(now):
         seen = Observation(

@@ -92,7 +92,7 @@ def test_the_torch_actor_decides_as_the_policy_it_becomes(settings: AttentionSet
 
 
 def test_first_weights_are_within_one_over_the_root_of_inputs():
-    """As those of the JAX network, biases too; and not far within."""
+    """Bounds equal those of the JAX network, also for biases, and the weights reach nearly to them."""
     torch.manual_seed(0)
     for layer in Attention(PROBLEM, AttentionSettings(), 2, sees_time=False).target_layers:
         bound = layer.in_features**-0.5
@@ -237,7 +237,7 @@ def test_the_vec_env_equals_the_environment():
     first = vec_env.reset()
     vec_env.seed(3)
     assert np.array_equal(first, vec_env.reset())
-    assert not np.array_equal(first, vec_env.reset()), "without a seed the episodes go on"
+    assert not np.array_equal(first, vec_env.reset()), "without a seed the episodes continue"
 
 
 def test_only_a_critic_that_may_reads_the_time():
@@ -282,7 +282,7 @@ def test_a_run_from_end_to_end(tmp_path: Path):
     score, _ = eqx.filter_jit(lambda p, e: validate(TINY, PROBLEM, p, e, keys[3]))(
         policy, held_out_episodes(TINY, PROBLEM, keys[1])
     )
-    assert float(score) == pytest.approx(outcome.best_score, abs=1e-12), "the file holds the policy that earned it"
+    assert float(score) == pytest.approx(outcome.best_score, abs=1e-12), "the file holds the policy of that score"
     assert list((tmp_path / "a").glob("events*"))
     assert ppo.train(TINY, tmp_path / "b", seed=3) == outcome
     assert (tmp_path / "a" / BEST).read_bytes() == (tmp_path / "b" / BEST).read_bytes()
@@ -335,7 +335,7 @@ def test_settings_are_those_of_stable_baselines():
 
 
 def test_another_learner_is_after_the_same():
-    """What is earned and how it is judged stays; how it is learned changes."""
+    """Keep objective and validation, and change the learner."""
     soft = TrainingSettings(softness=((1.0, 0.3),), noise=True, select="true", held_out=7, epochs=3)
     changed = with_learner(Experiment(training=soft), PPO["ppo"])
     assert changed.training == PPOSettings(

@@ -31,7 +31,7 @@ GREEN, VERMILLION = (0, 158, 115), (213, 94, 0)
 
 
 def messages(page: Path):
-    """What a written page plays: (time [s], message), by the format that viser's own player reads."""
+    """Messages of a written page, (time [s], message), by the format that viser's own player reads."""
     text = page.read_text(encoding="utf-8")
     packed = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]*)"', text)[1])
     size = int.from_bytes(packed[:8], "little")
@@ -142,7 +142,7 @@ def browser(tmp_path_factory):
 
 
 def pixels(picture, color):
-    """How many pixels have this hue: lines are drawn in their colour, edges are smoothed."""
+    """Number of pixels of this hue: lines are drawn in their colour, edges are smoothed."""
     return int((np.abs(picture - np.array(color)).max(axis=-1) < 40).sum())
 
 
