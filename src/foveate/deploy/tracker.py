@@ -105,7 +105,7 @@ class Tracker:
         Raises InputError, without any change, if the pose or a detection has another shape, or the pose is not finite.
 
         Args:
-            pose: The agent's pose when it measured: [x, y, yaw] [m, rad], or in space 4 x 4, body to world.
+            pose: The agent's pose when it measured: `[x, y, yaw]` in m and rad, or in space 4 x 4, body to world.
             detections: Measurements z = H y (n_z,) in the world frame, by id.
         """
         pose = _checked("pose", pose, (3,) if len(self._Z) == 2 else (4, 4))
