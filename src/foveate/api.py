@@ -24,6 +24,7 @@ from foveate.experiment.resolve import (
 from foveate.experiment.resolve import load as load_parts
 from foveate.io.validate import check_count, seed_number
 from foveate.learning import train as training
+from foveate.learning.run_files import stored_run
 from foveate.names import InitialError, Learner, Preset
 from foveate.recordings.compare import replay as replay
 from foveate.recordings.fit import fit as fit
@@ -44,7 +45,7 @@ def load(run: str | Path) -> TrainedPolicy:
 
 
 def train(
-    experiment: Scenario | Experiment | str | Path = "paper",
+    experiment: Scenario | Experiment | str | Path | None = None,
     *,
     like: Preset = "true-view",
     algorithm: Learner | None = None,
@@ -53,7 +54,7 @@ def train(
     steps: int | None = None,
     remat: bool = False,
     window: int | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     out: str | Path | None = None,
     resume: bool = False,
     progress: bool = True,
@@ -61,7 +62,8 @@ def train(
     """Train a policy and return the best one by validation; warns if the training stopped early.
 
     Args:
-        experiment: Name of a preset, TOML file as `fit` writes it, run folder, `Experiment`, or `Scenario`.
+        experiment: Name of a preset, TOML file as `fit` writes it, run folder, `Experiment`, or `Scenario`; None: the
+            preset "paper", or, to resume, the experiment of `out`.
         like: Preset that gives a `Scenario` its network and learner: "true-view" takes minutes, "paper" seconds.
         algorithm: Learner, in place of the experiment's.
         epochs: Iterations, in place of the experiment's.
@@ -69,7 +71,7 @@ def train(
         steps: Environment steps of PPO, which has no epochs and episodes.
         remat: Store fewer states of long episodes: the same gradient in less memory.
         window: Truncate the gradient of long episodes after this many steps.
-        seed: Seed of weights and scenes.
+        seed: Seed of weights and scenes; None: 0, or, to resume with the experiment of `out`, its seed.
         out: Run folder; without one, only the returned policy is left (see its `save`).
         resume: Resume the interrupted training in `out`.
         progress: Show a bar on a terminal, or a line at each tenth in a notebook.
@@ -77,9 +79,14 @@ def train(
     Raises:
         InputError: Settings do not fit, or `out` already holds a run.
     """
-    seed_number(seed, "seed")
     if resume and out is None:
         raise InputError("resume: expected out, the run folder to resume")
+    if resume and out is not None and experiment is None:
+        experiment, stored_seed = stored_run(Path(out))
+        seed = stored_seed if seed is None else seed
+    experiment = "paper" if experiment is None else experiment
+    seed = 0 if seed is None else seed
+    seed_number(seed, "seed")
     chosen = for_scenario(experiment, like) if isinstance(experiment, Scenario) else experiment_from(experiment)
     chosen = for_long_horizons(
         adjusted(chosen, algorithm, epochs=epochs, episodes=episodes, steps=steps), remat, window

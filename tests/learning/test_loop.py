@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import foveate
 from foveate.experiment.checkpoint import load_run, load_tree
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import TrainingSettings
@@ -103,6 +104,7 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     assert (tmp_path / "b" / BEST).read_bytes() == before, "a rejected run folder is left as it was"
     resumed = train(TINY, tmp_path / "b", seed=3, resume=True)
     assert resumed == outcome
+    assert foveate.train(out=tmp_path / "b", resume=True, progress=False).experiment == TINY
     assert (tmp_path / "b" / BEST).read_bytes() == (run / BEST).read_bytes()
     assert same_arrays(run / LAST, tmp_path / "b" / LAST)
     untimed = [
