@@ -34,7 +34,7 @@ A run in three commands:
   foveate replay runs/first RECORDING.csv --out runs/first/replay
 
 foveate COMMAND --help explains each command; --version prints the version; --debug, with any command, shows the
-traceback of an error. RUN may be a preset, whose trained policy the package ships.
+traceback of an error. RUN may be the name of a preset (its trained policy comes with the package).
 
 Exit status: 0 success, 1 ran but a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted.
 """
