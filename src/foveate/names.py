@@ -18,7 +18,7 @@ Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
 """An experiment of the package, which also ships its trained policy."""
 
 ProtocolName = Literal["surrogate", "true"]
-"""How information is counted: by the paper's soft view, or by real measurements."""
+"""Source of information: the paper's soft view, or real measurements."""
 
 Objective = Literal["terminal", "mean", "seen"]
 """Return of the actor-critic: score at the horizon, its mean over the steps, or share of time in view."""

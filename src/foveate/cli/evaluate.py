@@ -26,7 +26,7 @@ class Evaluate(Command):
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own; the default gives the paper's table 1."""
     protocol: Literal["surrogate", "true", "both"] = "both"
-    """How information is counted; see above."""
+    """Source of information: the soft view (surrogate) or real measurements (true); see above."""
     method: tuple[str, ...] = ("policy",)
     """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
     episodes: int = 1

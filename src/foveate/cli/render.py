@@ -28,7 +28,7 @@ class Render(Command):
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     protocol: ProtocolName = "true"
-    """How information is counted."""
+    """Source of information: the soft view (surrogate) or real measurements (true)."""
     method: str = "policy"
     """policy, random, still, nearest, uncertain or lawnmower."""
     seed: int = 0

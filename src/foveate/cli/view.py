@@ -40,7 +40,7 @@ class View(Command):
     method: Annotated[str | None, option("NAME")] = None
     """Method to show first, or to record: policy, random, still, nearest, uncertain or lawnmower."""
     protocol: ProtocolName = "true"
-    """How information is counted; on a recording always true."""
+    """Source of information: the soft view (surrogate) or real measurements (true); on a recording always true."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     seed: int = 0

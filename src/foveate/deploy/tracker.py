@@ -133,7 +133,7 @@ class Tracker:
         if self._sensor.uses_missed_detections:
             for i in (row for target, row in row_of.items() if target not in measured):
                 belief = self.mean[i], self.covariance[i]
-                belief = kalman.given_missed_detection(*belief, self._Z, self._sensor.view, pose)
+                belief = kalman.condition_on_missed_detection(*belief, self._Z, self._sensor.view, pose)
                 self.mean[i], self.covariance[i] = belief
         return Seen(updated=updated, appeared=(*jumped, *new), rejected=rejected)
 

@@ -71,7 +71,15 @@ class Suite:
 def prepare(
     problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int = 0, episodes: int = 1
 ) -> Suite:
-    """Draw the noise of `episodes` runs of every scene from (seed, scene id, episode)."""
+    """Prepare a suite: scenes with the noise of their episodes, drawn from (seed, scene id, episode).
+
+    Args:
+        problem: Models of agent, sensor and targets.
+        settings: Scene settings of the scenario.
+        scenes: Scenes of the suite.
+        seed: Seed of the noise.
+        episodes: Episodes per scene.
+    """
     drawn = scene_episodes(problem, settings, scenes, seed, episodes)
     assert drawn.truth is not None, "scene_episodes always draws the truth"
     return Suite(

@@ -82,7 +82,7 @@ class TrainingSettings(LearningSettings):
         positive(self, "learning_rate", "gradient_bound")
 
     @property
-    def back(self) -> Backpropagation:
+    def backpropagation(self) -> Backpropagation:
         """Rematerialisation and truncation of back-propagation through an episode."""
         return Backpropagation(segment=self.segment, window=self.window)
 

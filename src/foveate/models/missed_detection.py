@@ -46,7 +46,7 @@ def standard_points(
     return np.linalg.solve(np.linalg.cholesky(points.T @ (weights[:, None] * points)), points.T).T, weights
 
 
-def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
+def condition_on_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
     """The Gaussian with the mean and covariance of N(mu, C) given that the position Z y is outside of the view.
 
     `is_inside` tests world positions [m]. Position p = Z y has mean m = Z mu and covariance S = Z C Z^T; the rest of

@@ -16,7 +16,7 @@ from foveate.planning.information import Future
 from foveate.planning.shooting import PlanSettings, plan
 from foveate.planning.tours import straight_ahead
 from foveate.simulation.records import Episode, Instant, Observation, Policy, Protocol, State
-from foveate.simulation.rollout import following, simulate
+from foveate.simulation.rollout import decider, simulate
 from foveate.simulation.step import act
 from foveate.types import Action, Count, Key
 
@@ -105,7 +105,7 @@ class Receding(Policy):
         inputs = jnp.broadcast_to(mean_input, (self.window - 1, *mean_input.shape))
         future = Episode(after.pose, after.mean, after.present, inputs, horizon=observation.step + observation.left)
         rest = (future, protocol, key, lambda done: done.action)
-        later = simulate(self.problem, following(policy), *rest, memory=memory, state=after)
+        later = simulate(self.problem, decider(policy), *rest, memory=memory, state=after)
         return jnp.concatenate([action[None], later]), memory
 
 

@@ -86,7 +86,7 @@ class StaticTarget(_DiagonalPrior):
         positive(self, "initial_variance_m2")
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         eye = np.eye(dimension)
         return eye, np.zeros((dimension, 0)), 0.0 * eye, eye
 
@@ -108,7 +108,7 @@ class DriftTarget(_DiagonalPrior):
             covariance(self.W, "W", len(self.W), definite=False)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         eye = np.eye(dimension)
         W = self.process_std_m**2 * eye if self.W is None else covariance(self.W, "W", dimension, definite=False)
         return eye, eye, W, eye
@@ -145,7 +145,7 @@ class VelocityTarget(_DiagonalPrior):
             require(self.Q is not None or self.acceleration_m2_s3 > 0, "acceleration_m2_s3", 0.0, right)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         density = _density(self.acceleration_m2_s3, self.Q, dimension)
         if self.memory_s is None:
             return integrators(2, tau_s, density)
@@ -178,7 +178,7 @@ class AccelerationTarget(_DiagonalPrior):
             covariance(self.Q, "Q", len(self.Q), definite=False)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         return integrators(3, tau_s, _density(self.jerk_m2_s5, self.Q, dimension))
 
 
@@ -211,7 +211,7 @@ class LinearTarget:
         require_predictable(A, W, "A, W")
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         Z = matrix(self.Z, "Z", (dimension, len(self.A)))
         require(int(np.linalg.matrix_rank(Z)) == dimension, "Z", self.Z, f"expected rank {dimension}")
         return np.array(self.A), np.array(self.B), np.array(self.W), Z

@@ -71,7 +71,7 @@ def simulate(
     return _rematerialised_scan(advance, first, step.instants(episode), back.segment)
 
 
-def following(policy: Policy) -> Decide:
+def decider(policy: Policy) -> Decide:
     """A policy as `simulate` takes it, without notes."""
     return lambda observation, memory, key: (*policy(observation, memory, key), ())
 
@@ -107,11 +107,19 @@ def _play(
     """Simulate an episode with a policy."""
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
     memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon))
-    return simulate(problem, following(policy), episode, protocol, key, record, memory=memory, back=back)
+    return simulate(problem, decider(policy), episode, protocol, key, record, memory=memory, back=back)
 
 
 def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Trace:
-    """Run one episode and record everything."""
+    """Run one episode and record everything.
+
+    Args:
+        problem: Models of agent, sensor and targets.
+        policy: Policy that decides at every step.
+        episode: One episode, without a batch axis.
+        protocol: Source of information.
+        key: Random key of the policy.
+    """
 
     def columns(state: State):
         return {"pose": state.pose, "mean": state.mean, "information": state.information[-1], "present": state.present}
