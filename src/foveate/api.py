@@ -133,7 +133,7 @@ def evaluate(
         episodes: Episodes per scene.
         seed: Seed of the noise.
         scene_seed: Seed of the scenes of table1 or own.
-        initial_error: Error of the first means, as a measurement's (paper) or as the belief claims (consistent).
+        initial_error: Error of the initial means, as a measurement's (paper) or as the belief claims (consistent).
         scenario: Scenario to evaluate in, in place of the one of training.
         normalised: Add the score between lower bound (0) and omniscient planner (1), whose plans take minutes, once.
         progress: Show a bar.

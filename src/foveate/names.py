@@ -27,12 +27,12 @@ Goal = Literal["seen", "information"]
 """Aim of a fitted experiment: targets in view, or all of them well known."""
 
 InitialError = Literal["paper", "consistent"]
-"""Error of the first means: that of a measurement, or as large as the first belief claims."""
+"""Error of the initial means: that of a measurement, or as large as the initial belief claims."""
 
 HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
 METHODS: tuple[Method, ...] = get_args(Method)
-LEARNERS: tuple[Learner, ...] = get_args(Learner)
-PRESETS: tuple[Preset, ...] = get_args(Preset)
+LEARNER_NAMES: tuple[Learner, ...] = get_args(Learner)
+PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
 
 GATE = 0.9999
 """Default probability of the chi-square gate: it rejects one honest measurement in ten thousand."""

@@ -304,7 +304,7 @@ def test_ppo_trains_a_run_that_evaluates(
     config.write_text(f'[training]\nalgorithm = "ppo"\n{small}')
     train = ("train", "--config", str(config))
     assert main([*train, "--steps", "50", "--out", str(run)]) == 0
-    assert "best of 2 epochs" in capsys.readouterr().out
+    assert "best of 2 iterations" in capsys.readouterr().out
     check = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
     assert check["env_steps"] == 64
     assert any(path.name.startswith("events.out.tfevents") for path in run.iterdir())

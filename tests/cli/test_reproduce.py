@@ -101,7 +101,7 @@ def test_reproduce_for_the_true_view(
     worlds = json.loads((out / "robustness.json").read_text())
     (factor,) = worlds["factors"]
     assert (worlds["protocol"], worlds["training_seeds"]) == ("true", data["training_seeds"])
-    assert {"foveate", "world", "scene_seed", "noise_seed", "trainings"} <= set(worlds)
+    assert {"foveate", "scenario", "scene_seed", "noise_seed", "trainings"} <= set(worlds)
     assert "Scenarios that differ" in (out / "table.md").read_text()
     assert {(one["method"], one["value"]) for one in factor["verdicts"]} == {
         (name, value) for name in (study.TRUE_VIEW, "uncertain") for value in (0.1, 0.2)

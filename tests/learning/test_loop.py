@@ -198,7 +198,7 @@ def best_weight(run):
 def test_a_number_that_is_not_finite_leaves_the_best_checkpoint_alone(monkeypatch, tmp_path):
     stubbed(monkeypatch, [(1.0, 2.0, 0.0, True), (2.0, 1.5, 0.0, True), (3.0, math.nan, 0.0, False)])
     outcome = train(TINY, tmp_path / "r", seed=3)
-    assert "epoch 30" in outcome.stopped
+    assert "iteration 30" in outcome.stopped
     assert (outcome.best_epoch, outcome.best_score) == (10, 2.0)
     assert best_weight(tmp_path / "r") == 1.0
     like = Progress(*(begin(load_run(tmp_path / "r")[1], TINY.training),) * 2, *[jnp.zeros(())] * 4)

@@ -34,7 +34,7 @@ class Evaluate(Command):
     seed: int = 0
     """Seed of the noise."""
     initial_error: Annotated[InitialError | None, option("paper|consistent")] = None
-    """Error of the first means: that of a measurement (paper), or as large as the first belief claims (consistent;
+    """Error of the initial means: that of a measurement (paper), or as large as the initial belief claims (consistent;
     default: as in the scenario)."""
     # tyro shows aliases first: the former name is the one that comes last.
     normalised: Annotated[bool, tyro.conf.arg(name="closeness", aliases=("--normalised",))] = False

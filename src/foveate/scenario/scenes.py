@@ -28,8 +28,8 @@ class SceneSettings:
     other kinds the drift is the first velocity. `known_drift`: the agent knows these inputs (the paper: yes).
     `process_noise`: targets also move by N(0, W). `birth_and_death`: in training, a target that leaves the box is
     replaced by a new one that enters on the opposite side. Horizon: `steps`, or `steps_per_target` n. `initial_error`
-    of the first mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
-    from the first belief ("consistent").
+    of the initial mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
+    from the initial belief ("consistent").
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}

@@ -23,7 +23,7 @@ class Truth(eqx.Module):
 
 
 class Arrivals(eqx.Module):
-    """Births and deaths: the targets present at each instant, and the first mean of a belief that begins then."""
+    """Births and deaths: the targets present at each instant, and the initial mean of a belief that begins then."""
 
     present: Bool[Array, "*instants n"]
     mean: Float[Array, "*instants n n_y"]

@@ -140,7 +140,7 @@ class _Page:
             **{name: getattr(study, name) for name in names},
             "scenes": "table1",
             "training_seeds": list(study.seeds),
-            "world": digest(study.experiment),
+            "scenario": digest(study.experiment),
             "trainings": [
                 {"name": each.name, "seed": each.seed, "experiment": digest(each.experiment), **asdict(each.outcome)}
                 for each in self.results.trained

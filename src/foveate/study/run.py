@@ -33,7 +33,7 @@ from foveate.study.methods import Benchmark, Method, Training, check_rows
 from foveate.study.robustness import Point, measure
 from foveate.study.study import Study, benchmark_of, changed_benchmarks
 
-VERSION = 1
+VERSION = 2
 """Of the files of jobs; raised, too, when a method gives other rows than before."""
 
 JOBS, TRAININGS = "units", "trainings"
@@ -121,7 +121,7 @@ class _Factory:
     say: Say
 
     def _job(self, file: str, **fields: Any) -> Job[Any]:
-        return Job(path=self.out / JOBS / file, kind="unit", version=VERSION, **fields)
+        return Job(path=self.out / JOBS / file, kind="job", version=VERSION, **fields)
 
     @cached_property
     def benchmarks(self) -> dict[InitialError | None, Benchmark]:
@@ -158,7 +158,7 @@ class _Factory:
             done = validation.env_steps if is_ppo else validation.epoch
             note(f"{done} of {total}, held-out {validation.held_out:.2f}")
             if validation.event:
-                self.say(f"{run}: epoch {validation.epoch}: {validation.event}")
+                self.say(f"{run}: iteration {validation.epoch}: {validation.event}")
 
         outcome, mark = None, self.out / JOBS / f"training-{run.name}.begun"
         is_begun = all(path.exists() for path in (mark, run / LAST, run / BEST)) and mark.read_text() == key
@@ -212,7 +212,7 @@ class _Factory:
             return points
 
         return self._job(
-            f"worlds-{label}-{factor.name}.json",
+            f"scenarios-{label}-{factor.name}.json",
             label=f"{label}, {factor.name} changed",
             key=lambda: self._key(method, seed, protocol, list(self.changed[factor.name].values())),
             compute=compute,
@@ -222,7 +222,7 @@ class _Factory:
 
     def _key(self, method: Method, seed: int | None, protocol: str, benchmarks: Sequence[Benchmark]) -> str:
         words: dict[str, Any] = {
-            "worlds": [digest(benchmark.experiment) for benchmark in benchmarks],
+            "scenarios": [digest(benchmark.experiment) for benchmark in benchmarks],
             "scenes": [asdict(scene) for benchmark in benchmarks for scene in benchmark.suite.scenes],
             "noise_seed": self.study.noise_seed,
             "method": [type(method).__name__, method.name, method.revision, method.settings(protocol)],

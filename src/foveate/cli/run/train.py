@@ -74,7 +74,7 @@ def _resume_hint(out: Path, by_ppo: bool) -> str:
 
 
 def _report(outcome: Outcome, out: Path) -> int:
-    best = f"best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
+    best = f"best of {outcome.epochs} iterations at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
     print(f"{out}: {best}")
     if outcome.rollbacks:
         print(f"{out}: collapsed and was rolled back to its best {outcome.rollbacks} times (metrics.jsonl says when)")
