@@ -20,7 +20,7 @@ from foveate.simulation.rollout import rollout
 from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
 
-CHUNK = 256
+EPISODES_PER_CHUNK = 256
 """Episodes in a batch: bounds memory, and every suite runs the same compiled program."""
 
 
@@ -109,7 +109,7 @@ def evaluate_traces(
     suite: Suite,
     policy: Policy,
     protocol: Protocol,
-    chunk: int = CHUNK,
+    chunk: int = EPISODES_PER_CHUNK,
     report: Callable[[int], None] = lambda done: None,
 ) -> Trace:
     """Run a policy through every episode of a suite: one trace with a leading axis of episodes, as numpy arrays.

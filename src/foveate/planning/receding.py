@@ -20,7 +20,7 @@ from foveate.simulation.rollout import decider, simulate
 from foveate.simulation.step import act
 from foveate.types import Action, Count, Key
 
-MAX_ACTION = 0.99
+MAX_WARM_START_ACTION = 0.99
 """Largest size of a policy's action that an ascent starts from: at the limits, +-1, tanh has no gradient."""
 
 
@@ -87,7 +87,7 @@ class Receding(Policy):
         starts, inner = memory.raw[None], memory.policy
         if self.policy is not None:
             action, inner = self._policy_actions(self.policy, observation, inner, mean_input, policy_key)
-            raw = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
+            raw = jnp.arctanh(jnp.clip(action, -MAX_WARM_START_ACTION, MAX_WARM_START_ACTION))
             starts = jnp.concatenate([raw[None], starts])
         best = plan(self.problem, future, self.settings, plan_key, starts)
         shifted = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
