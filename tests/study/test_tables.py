@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from evaluation.test_comparison import BASE, LOWEST, OTHER, SCENES, SEEDS, rows
-from evaluation.test_comparison import comparison as comparison  # a fixture
 from scipy import stats
+from study.test_comparison import BASE, LOWEST, OTHER, SCENES, SEEDS, rows
+from study.test_comparison import comparison as comparison  # a fixture
 
-from foveate.evaluation.comparison import Part, compare
 from foveate.io.tables import markdown
+from foveate.study.comparison import Part, compare
 from foveate.study.tables import tables
 
 

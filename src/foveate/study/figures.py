@@ -15,12 +15,12 @@ from matplotlib.rcsetup import cycler
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from foveate.errors import InputError
-from foveate.evaluation.comparison import Overall
 from foveate.io.grouping import group_by
-from foveate.plotting.comparison import log_axis, tidy
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION, clean, new_figure, save
 from foveate.scenario.factors import Factor
+from foveate.study.comparison import Overall
+from foveate.study.comparison_figures import log_axis, tidy
 from foveate.study.robustness import ORACLE, Verdict
 
 HALO = withStroke(linewidth=2.5, foreground="white")

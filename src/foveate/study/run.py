@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from foveate import __version__
 from foveate.errors import InputError
-from foveate.evaluation.comparison import Part
 from foveate.evaluation.evaluate import Row
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
@@ -29,6 +28,7 @@ from foveate.learning.train import train
 from foveate.names import InitialError
 from foveate.scenario.factors import Factor
 from foveate.simulation.records import Policy
+from foveate.study.comparison import Part
 from foveate.study.methods import Benchmark, Method, Training, check_rows
 from foveate.study.robustness import Point, measure
 from foveate.study.study import Study, benchmark_of, changed_benchmarks

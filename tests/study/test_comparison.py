@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from foveate.evaluation.bounds import with_normalised_scores
-from foveate.evaluation.comparison import Part, as_json, compare
 from foveate.evaluation.evaluate import Row
 from foveate.evaluation.summary import summarise
+from foveate.study.comparison import Part, as_json, compare
 
 SCENES = 8
 CELLS = (("unbiased", 3), ("biased", 5))
