@@ -14,7 +14,6 @@ import tyro
 
 from foveate import __version__
 from foveate.cli.bench import Bench
-from foveate.cli.common import full_precision, keep_compiled
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.export import Export
 from foveate.cli.fit import Fit
@@ -25,6 +24,7 @@ from foveate.cli.reproduce import Reproduce
 from foveate.cli.train import Train
 from foveate.cli.view import View
 from foveate.errors import InputError
+from foveate.io.jax_settings import full_precision, keep_compiled
 
 DESCRIPTION = """Teach a mobile agent with a limited field of view where to look.
 
