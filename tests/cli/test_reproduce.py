@@ -160,7 +160,7 @@ def test_an_interrupt_prints_how_to_continue(
 
     monkeypatch.setattr(Fixed, "rows", interrupted)
     assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 130
-    assert "the same command continues" in " ".join(capsys.readouterr().err.split())
+    assert "the same command resumes" in " ".join(capsys.readouterr().err.split())
 
 
 def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -172,8 +172,12 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "each once" in failure(capsys, "reproduce", "--quick", "--seeds", "1", "1", *out)
     assert "is no folder" in failure(capsys, "reproduce", "--quick", "--out", str(tmp_path / "file"))
     assert "FILE.py:NAME" in failure(capsys, "reproduce", "--quick", "--add", "nowhere.py:METHOD", *out)
-    assert "expected a record" in failure(capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:METHOD", *out)
-    assert "expected a record" in failure(capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:NONE", *out)
+    assert "expected a foveate.Method" in failure(
+        capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:METHOD", *out
+    )
+    assert "expected a foveate.Method" in failure(
+        capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:NONE", *out
+    )
     assert not (tmp_path / "out").exists()
 
 
