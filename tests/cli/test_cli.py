@@ -119,7 +119,7 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
             main(arguments)
     both = capsys.readouterr().out
     assert both.count("Fit a scenario to a recording") == 2
-    assert both.count("Taken from the recording: targets at once") == 1
+    assert both.count("The recording gives the number of targets") == 1
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
