@@ -1,5 +1,5 @@
-# Everything runs in .venv, which is made here from any Python >= 3.11: nothing to install beforehand but make and
-# pip. A stamp file in .venv records each finished installation, so that the second call starts at once.
+# Everything runs in .venv, which is made here from any Python >= 3.11; only make and pip must be installed. A stamp
+# file in .venv records each finished installation, so that the second call starts at once.
 
 PYTHON ?= python3
 EXTRA ?=
@@ -21,10 +21,10 @@ help:
 	@echo 'make test    install the core and the test tools, then run ruff, pyright and the quick tests (3 minutes)'
 	@echo 'make test-all    the same with every test: also the slow ones, and those of a browser and of PyTorch'
 	@echo 'make lint    the same installation, ruff and pyright only'
-	@echo 'make docs    install what documentation is made with, then build it, with broken links refused, into site/'
+	@echo 'make docs    install the site generator, then build the documentation into site/; broken links are rejected'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
 	@echo 'make package the same installation, then wheel and sdist into dist/'
-	@echo 'make coverage  every test in a random order, and how many lines of each file they reach'
+	@echo 'make coverage  every test in a random order, with the line coverage of each file'
 	@echo 'make fuzz    100,000 hostile inputs; make kill: 40 trainings killed; make soak: an hour of a robot, in its own time'
 	@echo 'make audit   look up the pinned dependencies in lists of known vulnerabilities'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
@@ -66,7 +66,7 @@ package: $(VENV)/.stamp-dev
 	@echo '== package: dist/'
 	@$(BIN)/python -m hatchling build
 
-# In an order that is another one every time; the seed that is printed repeats it (PYTEST_ARGS="--shuffle SEED").
+# In a new random order every time; the printed seed repeats it (PYTEST_ARGS="--shuffle SEED").
 coverage: COUNTED := --shuffle $(shell od -An -N2 -tu2 /dev/urandom) --cov --cov-report=json --cov-report=term:skip-covered
 coverage: test-all
 	@$(BIN)/python .ci/coverage.py
@@ -80,7 +80,7 @@ soak: $(VENV)/.stamp-dev
 kill: $(VENV)/.stamp-dev
 	@PYTHONPATH=tests $(BIN)/python -m endurance.kill $(ENDURANCE_ARGS)
 
-# In an environment of its own: what audits is no part of what is audited.
+# In its own environment, so that the audit does not check its own dependencies.
 audit: $(VENV)/.stamp-audit
 	@$(BIN)/python .ci/audit.py $(VENV)/audit/bin/pip-audit
 
@@ -94,15 +94,15 @@ clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis .coverage* coverage.json dist site
 	find . -name .git -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# A .venv that works is kept. Where the system's Python comes without ensurepip (Debian without python3-venv),
-# its own pip fills the environment instead.
+# A working .venv is kept. If the system's Python has no ensurepip (Debian without python3-venv), its own pip fills the
+# environment instead.
 $(VENV)/.stamp-venv:
-	@command -v $(PYTHON) > /dev/null || { echo 'foveate needs Python 3.11 or newer, and there is no $(PYTHON);' \
+	@command -v $(PYTHON) > /dev/null || { echo 'foveate needs Python 3.11 or newer, and $(PYTHON) was not found;' \
 		'name another: make PYTHON=python3.12'; exit 1; }
 	@$(PYTHON) $(IS_NEW_ENOUGH) || { echo "foveate needs Python 3.11 or newer, and $(PYTHON) is" \
 		"$$($(PYTHON) --version 2>&1); name another: make PYTHON=python3.12"; exit 1; }
 	@if $(BIN)/python $(IS_NEW_ENOUGH) 2> /dev/null && $(BIN)/python -m pip --version > /dev/null 2>&1; then \
-		echo '== environment: $(VENV) is there'; \
+		echo '== environment: $(VENV) found'; \
 	else \
 		echo "== environment: making $(VENV) with $$($(PYTHON) --version)"; \
 		$(PYTHON) -m venv --clear $(VENV) > /dev/null 2>&1 || { \
@@ -121,7 +121,7 @@ $(VENV)/.stamp-dev: $(REQUIREMENTS) | $(VENV)/.stamp-venv
 	@$(INSTALL) --editable '.[dev]'
 	@touch $@ $(VENV)/.stamp-core
 
-# Torch on its own first: pip then settles its large wheels before it looks at what stands on them.
+# Torch first and alone: pip then resolves its large wheels before the packages that need them.
 $(VENV)/.stamp-torch: $(REQUIREMENTS) | $(VENV)/.stamp-venv
 	@echo "== install: $$(grep '^torch==' constraints.txt) (large)"
 	@$(INSTALL) "$$(grep '^torch==' constraints.txt)"

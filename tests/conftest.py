@@ -27,7 +27,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)  # so that batches are sharded in this process, too
 install_import_hook("foveate", "beartype.beartype")
 
-from foveate.cli.common import compile_fast  # noqa: E402
+from foveate.io.jax_settings import compile_fast  # noqa: E402
 
 compile_fast()
 

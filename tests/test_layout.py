@@ -58,6 +58,7 @@ TESTED_ELSEWHERE = {
     "evaluation.planners": "planning/test_receding.py",
     "evaluation.plan": "cli/test_cli.py",
     **dict.fromkeys(("io.progress", "io.provenance"), "test_api.py"),
+    "io.jax_settings": "cli/test_cli.py",
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
     "recordings.fit": "test_api.py",
     "recordings.velocities": "recordings/test_motion.py",

@@ -9,8 +9,8 @@ from foveate.simulation.records import PROTOCOLS, Policy
 
 
 def test_tables_have_these_keys():
-    assert tuple(presets.PRESETS) == names.PRESETS
-    assert tuple(presets.LEARNERS) == names.LEARNERS
+    assert tuple(presets.PRESETS) == names.PRESET_NAMES
+    assert tuple(presets.LEARNERS) == names.LEARNER_NAMES
     assert tuple(PROTOCOLS) == get_args(names.ProtocolName)
     assert ("policy", *names.HEURISTICS) == names.METHODS
 

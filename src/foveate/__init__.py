@@ -4,9 +4,9 @@
     policy = foveate.train(scenario, out="runs/a")  or one trained for a scenario of your own
     command = policy(belief, pose)                  [m/s, rad/s]; beliefs by foveate.Belief or foveate.Tracker
     foveate.evaluate(policy, "table1")              scores, what was seen, errors: a table
-    foveate.plan("table1")                          the same of a planner
-    foveate.replay(policy, "walkers.csv")           the same in a recording of real targets
-    foveate.fit("walkers.csv").experiment           what to train for them
+    foveate.plan("table1")                          evaluate a planner the same way
+    foveate.replay(policy, "walkers.csv")           evaluate in a recording of real targets
+    foveate.fit("walkers.csv").experiment           an experiment fitted to them
 
 Everything that programs import is a name of `foveate` itself, of `foveate.gym` or of `foveate.stonesoup`. A name is
 loaded when it is first used.

@@ -24,6 +24,7 @@ from foveate.experiment.resolve import (
 from foveate.experiment.resolve import load as load_parts
 from foveate.io.validate import check_count, seed_number
 from foveate.learning import train as training
+from foveate.learning.run_files import stored_run
 from foveate.names import InitialError, Learner, Preset
 from foveate.recordings.compare import replay as replay
 from foveate.recordings.fit import fit as fit
@@ -44,7 +45,7 @@ def load(run: str | Path) -> TrainedPolicy:
 
 
 def train(
-    experiment: Scenario | Experiment | str | Path = "paper",
+    experiment: Scenario | Experiment | str | Path | None = None,
     *,
     like: Preset = "true-view",
     algorithm: Learner | None = None,
@@ -53,15 +54,16 @@ def train(
     steps: int | None = None,
     remat: bool = False,
     window: int | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     out: str | Path | None = None,
     resume: bool = False,
     progress: bool = True,
 ) -> TrainedPolicy:
-    """Train a policy and return the best one by validation; warns if the training stopped early.
+    """Train a policy and keep the best one by validation; warns if the training stopped early.
 
     Args:
-        experiment: Name of a preset, TOML file as `fit` writes it, run folder, `Experiment`, or `Scenario`.
+        experiment: Name of a preset, TOML file as `fit` writes it, run folder, `Experiment`, or `Scenario`; None: the
+            preset "paper", or, to resume, the experiment of `out`.
         like: Preset that gives a `Scenario` its network and learner: "true-view" takes minutes, "paper" seconds.
         algorithm: Learner, in place of the experiment's.
         epochs: Iterations, in place of the experiment's.
@@ -69,32 +71,41 @@ def train(
         steps: Environment steps of PPO, which has no epochs and episodes.
         remat: Store fewer states of long episodes: the same gradient in less memory.
         window: Truncate the gradient of long episodes after this many steps.
-        seed: Seed of weights and scenes.
+        seed: Seed of weights and scenes; None: 0, or, to resume with the experiment of `out`, its seed.
         out: Run folder; without one, only the returned policy is left (see its `save`).
         resume: Resume the interrupted training in `out`.
         progress: Show a bar on a terminal, or a line at each tenth in a notebook.
 
+    Returns:
+        The best policy, with the experiment it was trained on.
+
     Raises:
         InputError: Settings do not fit, or `out` already holds a run.
     """
-    seed_number(seed, "seed")
     if resume and out is None:
         raise InputError("resume: expected out, the run folder to resume")
+    stored = stored_run(Path(out)) if resume and out is not None and experiment is None else ("paper", 0)
+    experiment, seed = stored[0] if experiment is None else experiment, stored[1] if seed is None else seed
+    seed_number(seed, "seed")
     chosen = for_scenario(experiment, like) if isinstance(experiment, Scenario) else experiment_from(experiment)
     chosen = for_long_horizons(
         adjusted(chosen, algorithm, epochs=epochs, episodes=episodes, steps=steps), remat, window
     )
-    if out is None:
-        with tempfile.TemporaryDirectory() as folder:
-            return _trained(chosen, Path(folder) / "run", "a policy", seed, resume, progress)
-    return _trained(chosen, Path(out), str(out), seed, resume, progress)
+    return _trained(chosen, None if out is None else Path(out), seed, resume, progress)
 
 
-def _trained(experiment: Experiment, out: Path, name: str, seed: int, resume: bool, progress: bool) -> TrainedPolicy:
+def _trained(experiment: Experiment, out: Path | None, seed: int, resume: bool, progress: bool) -> TrainedPolicy:
+    if out is not None:
+        return _trained_in(out, str(out), experiment, seed, resume, progress)
+    with tempfile.TemporaryDirectory() as folder:
+        return _trained_in(Path(folder) / "run", "a policy", experiment, seed, resume, progress)
+
+
+def _trained_in(out: Path, name: str, experiment: Experiment, seed: int, resume: bool, progress: bool) -> TrainedPolicy:
     with training.watched(experiment, name, quiet=not progress) as report:
         outcome = training.train(experiment, out, seed, resume, report)
     if outcome.stopped:
-        warnings.warn(f"{name}: the training stopped early: {outcome.stopped}", stacklevel=3)
+        warnings.warn(f"{name}: the training stopped early: {outcome.stopped}", stacklevel=4)
     return replace(load(out), name=name)
 
 
@@ -122,10 +133,16 @@ def evaluate(
         episodes: Episodes per scene.
         seed: Seed of the noise.
         scene_seed: Seed of the scenes of table1 or own.
-        initial_error: Error of the first means, as a measurement's (paper) or as the belief claims (consistent).
+        initial_error: Error of the initial means, as a measurement's (paper) or as the belief claims (consistent).
         scenario: Scenario to evaluate in, in place of the one of training.
         normalised: Add the score between lower bound (0) and omniscient planner (1), whose plans take minutes, once.
         progress: Show a bar.
+
+    Returns:
+        Rows and summary of every method under every protocol.
+
+    Raises:
+        InputError: An argument is invalid, a file is damaged, or the scenes do not fit the scenario.
     """
     methods, protocols = methods_of(method), _protocols(protocol, episodes, seed, scene_seed)
     subject = subject_of(policy, scenario)
@@ -137,12 +154,8 @@ def evaluate(
         subject.experiment,
         {name: subject.policy(name) for name in methods},
         known,
-        protocols=protocols,
-        episodes=episodes,
-        seed=seed,
-        normalised=normalised,
-        quiet=not progress,
-    )
+        protocols=protocols, episodes=episodes, seed=seed, normalised=normalised, quiet=not progress,
+    )  # fmt: skip
 
 
 def _protocols(protocol: str, episodes: int, seed: int, scene_seed: int) -> tuple[str, ...]:
@@ -189,19 +202,31 @@ def plan(
         seed: Seed of the noise.
         scene_seed: Seed of the scenes of table1 or own.
         progress: Show a bar.
+
+    Returns:
+        A row per protocol, scene and episode, and their summary.
+
+    Raises:
+        InputError: An argument is invalid, `refine` has no `run`, or the planner cannot plan in the scenario.
     """
-    options = PlanOptions(
-        refine=refine, starts=starts, iterations=iterations, window=window, omniscient=omniscient, open_loop=open_loop
-    )
+    options = PlanOptions(refine=refine, starts=starts, iterations=iterations, window=window, omniscient=omniscient,
+                          open_loop=open_loop)  # fmt: skip
     protocols = _protocols(protocol, episodes, seed, scene_seed)
+    settings, policy, name = _planning_subject(experiment, run, refine)
+    chosen, known = scenes_of(scenes, scene_seed, settings)
+    return evaluate_plans(
+        settings, options, known, chosen, {"scene_seed": scene_seed, "run": name}, protocols=protocols, policy=policy,
+        episodes=episodes, seed=seed, quiet=not progress,
+    )  # fmt: skip
+
+
+def _planning_subject(
+    experiment: Scenario | Experiment | str | Path, run: Trained | str | Path | None, refine: int | None
+) -> tuple[Experiment, Policy | None, str | None]:
+    """Resolve the experiment to plan in, the policy to refine, and the name of the run."""
     if refine is not None and run is None:
         raise InputError(f"refine {refine}: expected the policy to refine: give run")
-    subject = None if run is None else subject_of(run)
-    settings = experiment_from(experiment) if subject is None else subject.experiment
-    chosen, known = scenes_of(scenes, scene_seed, settings)
-    policy = None if subject is None or refine is None else subject.network()
-    facts = {"scene_seed": scene_seed, "run": None if subject is None else subject.name}
-    return evaluate_plans(
-        settings, options, known, chosen, facts, protocols=protocols, policy=policy, episodes=episodes, seed=seed,
-        quiet=not progress,
-    )  # fmt: skip
+    if run is None:
+        return experiment_from(experiment), None, None
+    subject = subject_of(run)
+    return subject.experiment, None if refine is None else subject.network(), subject.name

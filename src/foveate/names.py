@@ -18,7 +18,7 @@ Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
 """An experiment of the package, which also ships its trained policy."""
 
 ProtocolName = Literal["surrogate", "true"]
-"""How information is counted: by the paper's soft view, or by real measurements."""
+"""Source of information: the paper's soft view, or real measurements."""
 
 Objective = Literal["terminal", "mean", "seen"]
 """Return of the actor-critic: score at the horizon, its mean over the steps, or share of time in view."""
@@ -27,12 +27,12 @@ Goal = Literal["seen", "information"]
 """Aim of a fitted experiment: targets in view, or all of them well known."""
 
 InitialError = Literal["paper", "consistent"]
-"""Error of the first means: that of a measurement, or as large as the first belief claims."""
+"""Error of the initial means: that of a measurement, or as large as the initial belief claims."""
 
 HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
 METHODS: tuple[Method, ...] = get_args(Method)
-LEARNERS: tuple[Learner, ...] = get_args(Learner)
-PRESETS: tuple[Preset, ...] = get_args(Preset)
+LEARNER_NAMES: tuple[Learner, ...] = get_args(Learner)
+PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
 
 GATE = 0.9999
 """Default probability of the chi-square gate: it rejects one honest measurement in ten thousand."""

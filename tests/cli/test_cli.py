@@ -118,8 +118,8 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
         with pytest.raises(SystemExit, match="0"):
             main(arguments)
     both = capsys.readouterr().out
-    assert both.count("Derive a scenario from a recording") == 2
-    assert both.count("Taken from the recording: targets at once") == 1
+    assert both.count("Fit a scenario to a recording") == 2
+    assert both.count("The recording gives the number of targets") == 1
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
@@ -304,7 +304,7 @@ def test_ppo_trains_a_run_that_evaluates(
     config.write_text(f'[training]\nalgorithm = "ppo"\n{small}')
     train = ("train", "--config", str(config))
     assert main([*train, "--steps", "50", "--out", str(run)]) == 0
-    assert "best of 2 epochs" in capsys.readouterr().out
+    assert "best of 2 iterations" in capsys.readouterr().out
     check = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
     assert check["env_steps"] == 64
     assert any(path.name.startswith("events.out.tfevents") for path in run.iterdir())

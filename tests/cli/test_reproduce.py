@@ -103,7 +103,7 @@ def test_reproduce_for_the_true_view(
     robustness = json.loads((out / "robustness.json").read_text())
     (factor,) = robustness["factors"]
     assert (robustness["protocol"], robustness["training_seeds"]) == ("true", data["training_seeds"])
-    assert {"foveate", "world", "scene_seed", "noise_seed", "trainings"} <= set(robustness)
+    assert {"foveate", "scenario", "scene_seed", "noise_seed", "trainings"} <= set(robustness)
     assert "Scenarios that differ" in (out / "table.md").read_text()
     assert {(one["method"], one["value"]) for one in factor["verdicts"]} == {
         (name, value) for name in (study.TRUE_VIEW, "uncertain") for value in (0.1, 0.2)
@@ -162,7 +162,7 @@ def test_an_interrupt_prints_how_to_continue(
 
     monkeypatch.setattr(Fixed, "rows", interrupted)
     assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 130
-    assert "the same command continues" in " ".join(capsys.readouterr().err.split())
+    assert "the same command resumes" in " ".join(capsys.readouterr().err.split())
 
 
 def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -174,8 +174,12 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "each once" in failure(capsys, "reproduce", "--quick", "--seeds", "1", "1", *out)
     assert "is no folder" in failure(capsys, "reproduce", "--quick", "--out", str(tmp_path / "file"))
     assert "FILE.py:NAME" in failure(capsys, "reproduce", "--quick", "--add", "nowhere.py:METHOD", *out)
-    assert "expected a record" in failure(capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:METHOD", *out)
-    assert "expected a record" in failure(capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:NONE", *out)
+    assert "expected a foveate.Method" in failure(
+        capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:METHOD", *out
+    )
+    assert "expected a foveate.Method" in failure(
+        capsys, "reproduce", "--quick", "--add", f"{tmp_path}/own.py:NONE", *out
+    )
     assert not (tmp_path / "out").exists()
 
 

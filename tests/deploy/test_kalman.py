@@ -13,7 +13,7 @@ from foveate.deploy.belief import predicted
 from foveate.deploy.tracker import Tracker
 from foveate.models.belief import Belief, correct_mean, predict_information, update_information
 from foveate.models.gate import RESTART_AFTER, gate_limit, one_point, squared_distance
-from foveate.models.missed_detection import given_missed_detection
+from foveate.models.missed_detection import condition_on_missed_detection
 from foveate.names import GATE
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
@@ -62,7 +62,7 @@ def reference(problem):
         def is_inside(points_world):
             return problem.sensor.view.contains(space.to_body(pose, points_world))
 
-        return given_missed_detection(prediction, problem.motion.Z, is_inside)
+        return condition_on_missed_detection(prediction, problem.motion.Z, is_inside)
 
     return predict, update, begin, miss
 

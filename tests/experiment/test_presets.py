@@ -6,8 +6,9 @@ import pytest
 
 from foveate.cli.main import main
 from foveate.experiment.experiment import Experiment, with_learner
-from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
+from foveate.experiment.learners import ActorCriticSettings, PPOSettings, TrainingSettings
 from foveate.experiment.presets import PPO, PRESETS
+from foveate.io.toml import load_toml
 from foveate.learning.loop import train
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
@@ -53,3 +54,12 @@ def test_two_experiments_at_once_are_rejected(tmp_path, capsys):
 def test_actor_critic_presets_have_a_network_with_modes():
     for experiment in PRESETS.values():
         assert isinstance(experiment.training, ActorCriticSettings) == isinstance(experiment.policy, PointerSettings)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "actor-critic"])
+def test_the_former_name_of_update_epochs_is_still_read(algorithm: str, tmp_path):
+    policy = 'kind = "pointer"' if algorithm == "actor-critic" else ""
+    (tmp_path / "old.toml").write_text(f'[policy]\n{policy}\n[training]\nalgorithm = "{algorithm}"\npasses = 3\n')
+    training = load_toml(Experiment, tmp_path / "old.toml").training
+    assert isinstance(training, PPOSettings | ActorCriticSettings)
+    assert training.update_epochs == 3

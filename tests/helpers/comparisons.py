@@ -1,8 +1,8 @@
 """A comparison of made-up rows of a network of two training seeds, another method and the omniscient planner."""
 
 import numpy as np
-
 from foveate.evaluation.comparison import Comparison, Part, compare
+
 from foveate.evaluation.evaluate import Row
 
 SCENES = 8

@@ -13,7 +13,7 @@ SCORES = np.random.default_rng(0).normal(3.0, 1.0, (2, 2, 12))
 def random_points() -> list[Point]:
     def point(method, seed, value, scores):
         scores = tuple(float(score) for score in scores)
-        return Point(factor="f", value=value, method=method, training_seed=seed, floor=-1.0, scores=scores,
+        return Point(factor="f", value=value, method=method, training_seed=seed, lower_bound=-1.0, scores=scores,
                      seen=(0.5,) * 12)  # fmt: skip
 
     net = [

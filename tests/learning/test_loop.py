@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import foveate
 from foveate.experiment.checkpoint import load_run, load_tree
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import TrainingSettings
@@ -103,6 +104,7 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     assert (tmp_path / "b" / BEST).read_bytes() == before, "a rejected run folder is left as it was"
     resumed = train(TINY, tmp_path / "b", seed=3, resume=True)
     assert resumed == outcome
+    assert foveate.train(out=tmp_path / "b", resume=True, progress=False).experiment == TINY
     assert (tmp_path / "b" / BEST).read_bytes() == (run / BEST).read_bytes()
     assert same_arrays(run / LAST, tmp_path / "b" / LAST)
     untimed = [
@@ -196,7 +198,7 @@ def best_weight(run):
 def test_a_number_that_is_not_finite_leaves_the_best_checkpoint_alone(monkeypatch, tmp_path):
     stubbed(monkeypatch, [(1.0, 2.0, 0.0, True), (2.0, 1.5, 0.0, True), (3.0, math.nan, 0.0, False)])
     outcome = train(TINY, tmp_path / "r", seed=3)
-    assert "epoch 30" in outcome.stopped
+    assert "iteration 30" in outcome.stopped
     assert (outcome.best_epoch, outcome.best_score) == (10, 2.0)
     assert best_weight(tmp_path / "r") == 1.0
     like = Progress(*(begin(load_run(tmp_path / "r")[1], TINY.training),) * 2, *[jnp.zeros(())] * 4)

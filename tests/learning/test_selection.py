@@ -88,13 +88,13 @@ def test_a_saturated_policy_is_rolled_back(score):
     assert facts(decision) == {**UNCHANGED, "learner": pytest.approx(0.1), "epoch": 30, "rollbacks": 1}
     assert (decision.is_best, decision.stop_reason) == (False, None)
     assert "95% of commands at a limit" in decision.event
-    assert "epoch 10" in decision.event
+    assert "iteration 10" in decision.event
     counts = [int(x.count) for x in decision.progress.learner.optimizer[1]]
     assert counts == [30, 30], "of Adam, and of the falling learning rate"
 
 
 def test_updates_of_the_actor_critic_are_counted_in_epochs():
-    settings = ActorCriticSettings(algorithm="actor-critic", passes=3, minibatches=5)
+    settings = ActorCriticSettings(algorithm="actor-critic", update_epochs=3, minibatches=5)
     decision = decide(progress(), learner(9.0, 30), 0.0, 1.0, True, settings)
     assert int(decision.progress.learner.optimizer[1][0].count) == 30 * 3 * 5
 
@@ -140,4 +140,4 @@ def test_a_number_that_is_not_finite_stops_training_at_the_best():
     decision = after(progress(), learner(math.nan, 30), 5.0, finite=False)
     assert facts(decision) == {**UNCHANGED, "learner": pytest.approx(0.1), "epoch": 10}
     assert (decision.is_best, decision.event) == (False, "not finite")
-    assert "epoch 30" in str(decision.stop_reason)
+    assert "iteration 30" in str(decision.stop_reason)

@@ -10,7 +10,7 @@ from scipy.stats import norm, truncnorm
 from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.evaluation.metrics import chi_square_band
 from foveate.models.belief import Belief
-from foveate.models.missed_detection import given_missed_detection, standard_points
+from foveate.models.missed_detection import condition_on_missed_detection, standard_points
 from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
@@ -43,7 +43,9 @@ def test_the_remaining_belief_is_consistent_for_any_share(share):
     belief, found = gaussian([0.0, 0.0], np.eye(2)), []
     for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False):
         along = np.array([np.cos(angle), np.sin(angle)])
-        left = given_missed_detection(belief, jnp.eye(2), lambda points, along=along: points @ along < norm.isf(share))
+        left = condition_on_missed_detection(
+            belief, jnp.eye(2), lambda points, along=along: points @ along < norm.isf(share)
+        )
         error = far.mean() * along - np.asarray(left.mean)
         truth = np.eye(2) + (far.var() - 1) * np.outer(along, along) + np.outer(error, error)
         found.append(np.trace(np.asarray(left.information) @ truth))
@@ -53,7 +55,7 @@ def test_the_remaining_belief_is_consistent_for_any_share(share):
 
 def test_a_belief_almost_entirely_in_view_is_unchanged():
     belief = gaussian([0.0, 0.0], np.eye(2))
-    left = given_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < norm.isf(0.01))
+    left = condition_on_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < norm.isf(0.01))
     np.testing.assert_array_equal(left.information, belief.information)
 
 
@@ -61,7 +63,7 @@ def test_a_belief_almost_entirely_in_view_is_unchanged():
 def test_half_a_plane_in_view_leaves_a_truncated_normal(edge):
     """Everything with x < edge is in view; std 1.5 along x, where mean and variance are scipy's; y stays as it was."""
     belief = gaussian([0.3, -2.0], np.diag([1.5**2, 0.4**2]))
-    left = given_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < edge)
+    left = condition_on_missed_detection(belief, jnp.eye(2), lambda points: points[:, 0] < edge)
     expected = truncnorm((edge - 0.3) / 1.5, np.inf, loc=0.3, scale=1.5)
     covariance = np.linalg.inv(left.information)
     np.testing.assert_allclose(left.mean, [expected.mean(), -2.0], atol=0.03)
@@ -76,7 +78,9 @@ def test_states_correlated_with_the_position_move_along():
     mean, covariance = np.array([0.5, 0.2, 1.0, -1.0]), root @ root.T + 0.1 * np.eye(4)
     samples = rng.multivariate_normal(mean, covariance, 400_000)
     outside = samples[np.hypot(*samples[:, :2].T) > 1.0]
-    left = given_missed_detection(gaussian(mean, covariance), jnp.eye(2, 4), lambda points: jnp.hypot(*points.T) <= 1.0)
+    left = condition_on_missed_detection(
+        gaussian(mean, covariance), jnp.eye(2, 4), lambda points: jnp.hypot(*points.T) <= 1.0
+    )
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(left.mean / scale, outside.mean(axis=0) / scale, atol=0.03)
     found = np.linalg.inv(left.information) / np.outer(scale, scale)
@@ -87,7 +91,7 @@ def test_states_correlated_with_the_position_move_along():
 def test_an_empty_or_full_view_gives_no_information(inside):
     """Nothing in view: no detection was expected. All of it: the belief was wrong."""
     belief = gaussian([0.3, -2.0], np.diag([2.0, 1.0]))
-    left = given_missed_detection(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
+    left = condition_on_missed_detection(belief, jnp.eye(2), lambda points: jnp.full(len(points), inside))
     np.testing.assert_array_equal(left.mean, belief.mean)
     np.testing.assert_array_equal(left.information, belief.information)
 

@@ -7,9 +7,9 @@ import pytest
 from helpers.points import DOUBLING, random_points
 from PIL import Image
 
-from foveate.evaluation.comparison import Overall
 from foveate.plotting.scene import new_figure
 from foveate.study import figures
+from foveate.study.comparison import Overall
 from foveate.study.figures import pareto_figure, pareto_front, robustness_figure
 from foveate.study.robustness import verdicts
 

@@ -42,7 +42,7 @@ def test_points_equal_an_evaluation():
     assert measured[0.4]["scores"] == pytest.approx([row.score for row in rows], abs=1e-9)
     assert measured[0.4]["seen"] == pytest.approx([row.seen_fraction for row in rows])
     # Never seen: the variance grows from 2 m^2 by 0.05^2 a step for 15 steps.
-    assert measured[0.2]["floor"] == pytest.approx(-2 * np.log(2.0 + 15 * 0.05**2))
+    assert measured[0.2]["lower_bound"] == pytest.approx(-2 * np.log(2.0 + 15 * 0.05**2))
 
 
 def test_the_table_omits_a_meaningless_normalised_score():

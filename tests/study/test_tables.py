@@ -6,8 +6,8 @@ import numpy as np
 from helpers.comparisons import BASE, LOWEST, OTHER, SCENES, SEEDS, made_up, rows
 from scipy import stats
 
-from foveate.evaluation.comparison import Part, compare
 from foveate.io.tables import markdown
+from foveate.study.comparison import Part, compare
 from foveate.study.tables import tables
 
 

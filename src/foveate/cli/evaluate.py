@@ -19,14 +19,14 @@ class Evaluate(Command):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
+    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file; table1: the paper's six cells of 30 scenes; own: 30 scenes for each of three numbers of targets from
     the scenario's distribution, not used in training (default: table1 in the plane, own in space)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own; the default gives the paper's table 1."""
     protocol: Literal["surrogate", "true", "both"] = "both"
-    """How information is counted; see above."""
+    """Source of information: the soft view (surrogate) or real measurements (true); see above."""
     method: tuple[str, ...] = ("policy",)
     """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
     episodes: int = 1
@@ -34,7 +34,7 @@ class Evaluate(Command):
     seed: int = 0
     """Seed of the noise."""
     initial_error: Annotated[InitialError | None, option("paper|consistent")] = None
-    """Error of the first means: that of a measurement (paper), or as large as the first belief claims (consistent;
+    """Error of the initial means: that of a measurement (paper), or as large as the initial belief claims (consistent;
     default: as in the scenario)."""
     # tyro shows aliases first: the former name is the one that comes last.
     normalised: Annotated[bool, tyro.conf.arg(name="closeness", aliases=("--normalised",))] = False

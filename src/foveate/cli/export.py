@@ -18,7 +18,7 @@ class Export(Command):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
+    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     out: Annotated[tyro.conf.Positional[Path], option("FILE.onnx")]
     """File to write."""
     opset: int = 17

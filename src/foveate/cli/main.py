@@ -14,7 +14,6 @@ import tyro
 
 from foveate import __version__
 from foveate.cli.bench import Bench
-from foveate.cli.common import full_precision, keep_compiled
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.export import Export
 from foveate.cli.fit import Fit
@@ -25,6 +24,7 @@ from foveate.cli.reproduce import Reproduce
 from foveate.cli.train import Train
 from foveate.cli.view import View
 from foveate.errors import InputError
+from foveate.io.jax_settings import full_precision, keep_compiled
 
 DESCRIPTION = """Teach a mobile agent with a limited field of view where to look.
 
@@ -34,7 +34,7 @@ A run in three commands:
   foveate replay runs/first RECORDING.csv --out runs/first/replay
 
 foveate COMMAND --help explains each command; --version prints the version; --debug, with any command, shows the
-traceback of an error. RUN may be a preset, whose trained policy the package ships.
+traceback of an error. RUN may be the name of a preset (its trained policy comes with the package).
 
 Exit status: 0 success, 1 ran but a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted.
 """

@@ -46,7 +46,7 @@ class Plan(Command):
     window: Annotated[int | None, option("K")] = None
     """Longest horizon of a receding-horizon plan [steps]; the end of the episode is known (default: 30)."""
     protocol: Literal["surrogate", "true", "both"] = "both"
-    """How information is counted, in planning and in evaluation."""
+    """Source of information: the soft view (surrogate) or real measurements (true), in planning and in evaluation."""
     episodes: int = 1
     """Noise draws per scene."""
     seed: int = 0

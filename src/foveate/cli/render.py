@@ -18,7 +18,7 @@ class Render(Command):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
+    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     out: Annotated[Path, option("FILE.gif|.mp4|.png|.pdf|.svg")]
     """.gif or .mp4: an animation. .png, .pdf or .svg: four pictures per scene."""
     scene: Annotated[tuple[str, ...], option("ID ..")] = ()
@@ -28,7 +28,7 @@ class Render(Command):
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     protocol: ProtocolName = "true"
-    """How information is counted."""
+    """Source of information: the soft view (surrogate) or real measurements (true)."""
     method: str = "policy"
     """policy, random, still, nearest, uncertain or lawnmower."""
     seed: int = 0

@@ -19,7 +19,7 @@ class Replay(Command):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
+    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     recording: Annotated[tyro.conf.Positional[Path], option("RECORDING.csv")]
     """CSV file with the header time_s,track_id,x_m,y_m[,z_m]."""
     method: tuple[str, ...] = ("all",)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from foveate.cli.common import compile_fast
 from foveate.cli.options import Command, option
+from foveate.io.jax_settings import compile_fast
 
 
 @dataclass(kw_only=True)

@@ -35,7 +35,7 @@ class Train(Command):
     episodes: Annotated[int | None, option("INT")] = None
     """Episodes per iteration."""
     steps: Annotated[int | None, option("INT")] = None
-    """Environment steps of PPO (default: a million, about as many as 1000 epochs of 60 episodes)."""
+    """Environment steps of PPO (default: a million, about as many as 1000 iterations of 60 episodes)."""
     seed: int = 0
     """Seed of weights and scenes."""
     out: Annotated[Path | None, option("RUN")] = None

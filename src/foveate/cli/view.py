@@ -19,7 +19,7 @@ class View(Command):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or a preset, whose trained policy the package ships."""
+    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file, table1 or own (default: table1 in the plane, own in space)."""
     recording: Annotated[Path | None, option("RECORDING.csv")] = None
@@ -40,7 +40,7 @@ class View(Command):
     method: Annotated[str | None, option("NAME")] = None
     """Method to show first, or to record: policy, random, still, nearest, uncertain or lawnmower."""
     protocol: ProtocolName = "true"
-    """How information is counted; on a recording always true."""
+    """Source of information: the soft view (surrogate) or real measurements (true); on a recording always true."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     seed: int = 0

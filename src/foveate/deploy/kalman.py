@@ -84,7 +84,7 @@ def one_point(
     return back @ measurement, back @ V @ back.T + rest @ first_covariance @ rest.T
 
 
-def given_missed_detection(
+def condition_on_missed_detection(
     mean: Float[np.ndarray, " n_y"],
     covariance: Float[np.ndarray, "n_y n_y"],
     Z: Float[np.ndarray, "d n_y"],
@@ -105,4 +105,4 @@ def _given_missed_detection(view: FieldOfView, mean: Array, information: Array, 
     def is_inside(points_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
         return view.contains((points_world - t) @ R)
 
-    return missed_detection.given_missed_detection(Belief(mean, information), Z, is_inside)
+    return missed_detection.condition_on_missed_detection(Belief(mean, information), Z, is_inside)

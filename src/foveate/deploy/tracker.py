@@ -105,7 +105,7 @@ class Tracker:
         Raises InputError, without any change, if the pose or a detection has another shape, or the pose is not finite.
 
         Args:
-            pose: The agent's pose when it measured: [x, y, yaw] [m, rad], or in space 4 x 4, body to world.
+            pose: The agent's pose when it measured: `[x, y, yaw]` in m and rad, or in space 4 x 4, body to world.
             detections: Measurements z = H y (n_z,) in the world frame, by id.
         """
         pose = _checked("pose", pose, (3,) if len(self._Z) == 2 else (4, 4))
@@ -133,7 +133,7 @@ class Tracker:
         if self._sensor.uses_missed_detections:
             for i in (row for target, row in row_of.items() if target not in measured):
                 belief = self.mean[i], self.covariance[i]
-                belief = kalman.given_missed_detection(*belief, self._Z, self._sensor.view, pose)
+                belief = kalman.condition_on_missed_detection(*belief, self._Z, self._sensor.view, pose)
                 self.mean[i], self.covariance[i] = belief
         return Seen(updated=updated, appeared=(*jumped, *new), rejected=rejected)
 

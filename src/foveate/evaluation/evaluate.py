@@ -20,7 +20,7 @@ from foveate.simulation.rollout import rollout
 from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
 
-CHUNK = 256
+EPISODES_PER_CHUNK = 256
 """Episodes in a batch: bounds memory, and every suite runs the same compiled program."""
 
 
@@ -71,7 +71,15 @@ class Suite:
 def prepare(
     problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int = 0, episodes: int = 1
 ) -> Suite:
-    """Draw the noise of `episodes` runs of every scene from (seed, scene id, episode)."""
+    """Prepare a suite: scenes with the noise of their episodes, drawn from (seed, scene id, episode).
+
+    Args:
+        problem: Models of agent, sensor and targets.
+        settings: Scene settings of the scenario.
+        scenes: Scenes of the suite.
+        seed: Seed of the noise.
+        episodes: Episodes per scene.
+    """
     drawn = scene_episodes(problem, settings, scenes, seed, episodes)
     assert drawn.truth is not None, "scene_episodes always draws the truth"
     return Suite(
@@ -101,7 +109,7 @@ def evaluate_traces(
     suite: Suite,
     policy: Policy,
     protocol: Protocol,
-    chunk: int = CHUNK,
+    chunk: int = EPISODES_PER_CHUNK,
     report: Callable[[int], None] = lambda done: None,
 ) -> Trace:
     """Run a policy through every episode of a suite: one trace with a leading axis of episodes, as numpy arrays.

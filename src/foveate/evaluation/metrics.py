@@ -93,6 +93,6 @@ def effective_count(weights: Float[np.ndarray, " n"] | Int[np.ndarray, " n"]) ->
 def chi_square_band(dof: int, count: float | int) -> tuple[float, float]:
     """Interval that holds 95 % of means of `count` chi-square variables (Wilson and Hilferty 1931)."""
     total = dof * count
-    spread = 2.0 / (9.0 * total)
-    low, high = (dof * max(0.0, 1.0 - spread + sign * Z95 * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))
+    variance = 2.0 / (9.0 * total)
+    low, high = (dof * max(0.0, 1.0 - variance + sign * Z95 * math.sqrt(variance)) ** 3 for sign in (-1.0, 1.0))
     return low, high

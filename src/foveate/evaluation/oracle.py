@@ -38,7 +38,7 @@ from foveate.simulation.rollout import rollout
 VERSION = 1
 """Of the files of plans; raised, too, when the planner gives other plans than before."""
 
-MICRO_BATCH = 4
+ORACLE_MICRO_BATCH = 4
 """Episodes of one size in a batch: more would not fit into a core's cache."""
 
 OnProgress = Callable[[int], None]
@@ -170,12 +170,12 @@ def _solve_all(
 
     sizes = group_by(range(len(action)), size_of)
     batches = {
-        size: [np.array(rows[i : i + MICRO_BATCH]) for i in range(0, len(rows), MICRO_BATCH)]
+        size: [np.array(rows[i : i + ORACLE_MICRO_BATCH]) for i in range(0, len(rows), ORACLE_MICRO_BATCH)]
         for size, rows in sizes.items()
     }
 
     def arguments(size: tuple[int, int], batch: np.ndarray) -> tuple[Any, ...]:
-        rows = np.resize(batch, MICRO_BATCH)  # repeats episodes, as a program has one shape
+        rows = np.resize(batch, ORACLE_MICRO_BATCH)  # repeats episodes, as a program has one shape
         return suite.problem, _cropped(futures, rows, *size), settings, keys[rows]
 
     solver: Any = eqx.filter_jit(_solve)

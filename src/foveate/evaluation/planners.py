@@ -17,7 +17,7 @@ from foveate.planning.shooting import PlanSettings
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
 
-MICRO_BATCH = 16
+PLANS_PER_BATCH = 16
 """Episodes of one size that run side by side."""
 
 WINDOW = 30
@@ -61,7 +61,7 @@ def planner_rows(
             on_progress(sum(done.values()))
 
     def run(size: Size) -> Trace:
-        chunk = min(MICRO_BATCH, len(sizes[size]) * episodes)
+        chunk = min(PLANS_PER_BATCH, len(sizes[size]) * episodes)
         return evaluate_traces(suites[size], policy_of(size[1]), PROTOCOLS[protocol], chunk, partial(report, size))
 
     with ThreadPoolExecutor(cores()) as pool:  # compilation, most of the wait, runs side by side

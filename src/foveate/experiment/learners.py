@@ -50,9 +50,10 @@ class LearningSettings(ValidationSettings):
 class TrainingSettings(LearningSettings):
     """Settings of the policy gradient.
 
-    An epoch (of `epochs` in all) is a step of Adam with `learning_rate` on the mean of `episodes` new episodes, its
+    An iteration (of `epochs` in all) is a step of Adam with `learning_rate` on the mean of `episodes` new episodes, its
     gradient's norm bounded at `gradient_bound`. `objective` is log det at the horizon ("terminal", the paper), its mean
-    over the steps ("mean"), or the share of time in view ("seen"). The policy is validated every `check_every` epochs.
+    over the steps ("mean"), or the share of time in view ("seen"). Every `check_every` iterations the policy is
+    validated.
 
     At most `micro_batch` episodes are simulated at once on each device (None: those of 256 targets on a core of a CPU,
     more elsewhere); this bounds memory, and changes rounding only. So does `segment`, rematerialisation for long
@@ -63,7 +64,7 @@ class TrainingSettings(LearningSettings):
 
     RENAMED: ClassVar[dict[str, str]] = {"together": "micro_batch"}
     updates: ClassVar[int] = 1
-    """Steps of Adam in an epoch."""
+    """Steps of Adam in an iteration."""
     epochs: int = 1000
     episodes: int = 60
     learning_rate: float = 3e-4
@@ -82,7 +83,7 @@ class TrainingSettings(LearningSettings):
         positive(self, "learning_rate", "gradient_bound")
 
     @property
-    def back(self) -> Backpropagation:
+    def backpropagation(self) -> Backpropagation:
         """Rematerialisation and truncation of back-propagation through an episode."""
         return Backpropagation(segment=self.segment, window=self.window)
 
@@ -93,8 +94,8 @@ class PPOSettings(LearningSettings):
 
     The defaults are Stable-Baselines3's, but for the shape of a rollout, of the same size (64 x 32 for 1 x 2048), and
     the network, which is `AttentionPolicy`. In an iteration `environments` take `rollout_steps` steps each, and Adam
-    updates on them for `passes` epochs in minibatches of `batch`; there are `steps` environment steps in all. Adam has
-    a `learning_rate` and gradients of norm up to `gradient_bound`, and the ratio of probabilities is clipped to
+    updates on them for `update_epochs` epochs in minibatches of `batch`; there are `steps` environment steps in all.
+    Adam has a `learning_rate` and gradient norms up to `gradient_bound`, and the ratio of probabilities is clipped to
     1 +- `clip`. Advantages are estimated with a `discount` per step and `gae_lambda`. The policy is validated every
     `check_every` steps.
 
@@ -103,13 +104,14 @@ class PPOSettings(LearningSettings):
     training, has the steps left as a feature.
     """
 
+    RENAMED: ClassVar[dict[str, str]] = {"passes": "update_epochs"}
     objective: ClassVar[Objective] = "terminal"
     algorithm: Literal["ppo"]
     steps: int = 1_000_000
     environments: int = 64
     rollout_steps: int = 32
     batch: int = 64
-    passes: int = 10
+    update_epochs: int = 10
     learning_rate: float = 3e-4
     schedule: Literal["constant", "linear"] = "constant"
     """Learning rate constant, or falling linearly to 0."""
@@ -128,7 +130,7 @@ class PPOSettings(LearningSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(1, self, "steps", "environments", "rollout_steps", "passes", "check_every")
+        at_least(1, self, "steps", "environments", "rollout_steps", "update_epochs", "check_every")
         collected = self.environments * self.rollout_steps
         right = f"expected a divisor of environments x rollout_steps = {collected}, and >= 2"
         require(self.batch >= 2 and collected % self.batch == 0, "batch", self.batch, right)
@@ -144,7 +146,7 @@ class ActorCriticSettings(ValidationSettings):
 
     An iteration (of `epochs` in all) simulates `episodes` new episodes, split evenly among the `protocols`, and samples
     a mode by its weight and a Gaussian about its action. The Gaussian's standard deviation falls linearly from the
-    first `action_std` to the last at the end of training. Then Adam updates on all steps for `passes` epochs of
+    first `action_std` to the last at the end of training. Then Adam updates on all steps for `update_epochs` epochs of
     `minibatches` each. The `learning_rate` of the policy and the `critic_learning_rate` fall to 0 as a cosine,
     gradients have norms up to `gradient_bound`, and the ratio of probabilities is clipped to 1 +- `clip`. The policy is
     validated every `check_every` iterations.
@@ -154,14 +156,14 @@ class ActorCriticSettings(ValidationSettings):
     `gae_lambda`.
     """
 
-    RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std"}
+    RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std", "passes": "update_epochs"}
     algorithm: Literal["actor-critic"]
     protocols: tuple[ProtocolName, ...] = ("true",)
     select: ProtocolName = "true"
     objective: Objective = "terminal"
     epochs: int = 500
     episodes: int = 256
-    passes: int = 4
+    update_epochs: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
     critic_learning_rate: float = 1e-3
@@ -175,7 +177,7 @@ class ActorCriticSettings(ValidationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(1, self, "epochs", "passes", "minibatches", "check_every")
+        at_least(1, self, "epochs", "update_epochs", "minibatches", "check_every")
         right = "expected at least one of surrogate, true, each once"
         require(len(set(self.protocols)) == len(self.protocols) > 0, "protocols", self.protocols, right)
         count, least = len(self.protocols), self.minibatches
@@ -188,5 +190,5 @@ class ActorCriticSettings(ValidationSettings):
 
     @property
     def updates(self) -> int:
-        """Steps of Adam in an epoch."""
-        return self.passes * self.minibatches
+        """Steps of Adam in an iteration."""
+        return self.update_epochs * self.minibatches

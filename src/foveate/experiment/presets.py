@@ -49,7 +49,7 @@ PRESETS = {
         ),
     ),
     "true-view": Experiment(policy=POINTER, training=ACTOR_CRITIC),
-    # First means err by as much as the beliefs claim: the agent must search for a target around its mean.
+    # Initial means err by as much as the beliefs claim: the agent must search for a target around its mean.
     "search": Experiment(
         scenario=Scenario(
             sensor=SensorSettings(missed_detections="used"), scenes=SceneSettings(initial_error="consistent")

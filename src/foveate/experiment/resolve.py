@@ -124,7 +124,7 @@ def _shape_of(problem: Problem) -> str:
 
 
 def with_initial_error(experiment: Experiment, initial_error: InitialError | None) -> Experiment:
-    """Replace the error of first means in an experiment, unless it is None."""
+    """Replace the error of initial means in an experiment, unless it is None."""
     if initial_error is None:
         return experiment
     scenes = replace(experiment.scenario.scenes, initial_error=initial_error)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
@@ -44,6 +45,11 @@ class Outcome:
     best_score: float
     rollbacks: int
     stopped: str
+
+
+def outcome_of(record: dict[str, Any]) -> Outcome:
+    """Read an outcome from its fields; `rollbacks` was called `returns` in version 0.1."""
+    return Outcome(**{"rollbacks" if name == "returns" else name: value for name, value in record.items()})
 
 
 def claim(out: Path, experiment: Experiment) -> None:

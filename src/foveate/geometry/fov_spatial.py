@@ -149,7 +149,7 @@ class Intersection(FieldOfView):
 
     @property
     def dimension(self) -> int:
-        """That of all members."""
+        """Dimension of the members."""
         return self.shapes[0].dimension
 
     @property

@@ -52,7 +52,7 @@ class TrackingEnv(gymnasium.Env):
             self._screen = Screen(self._task.problem, window=render_mode == "human")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; return its first observation, and the score of the first beliefs as info."""
+        """Begin an episode; return its first observation, and the score of the initial beliefs as info."""
         super().reset(seed=seed)
         batch, targets = self._task.batch, self._task.targets(options or {})
         seen, score = batch.renew(self._task.keys([seed], self.np_random), targets=targets)

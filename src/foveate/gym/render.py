@@ -25,7 +25,7 @@ class Screen:
         self._truth: np.ndarray | None = None
 
     def begin(self, batch: Batch) -> None:
-        """Begin with the first beliefs of an episode."""
+        """Begin with the initial beliefs of an episode."""
         assert batch.states is not None, "the batch has begun"
         episode = batch.states.episode
         self._horizon = int(episode.horizon[0])

@@ -30,9 +30,9 @@ class _At:
     def error(self, problem: str) -> InputError:
         return file_error(self.source, f"{self.path}: {problem}" if self.path else problem)
 
-    def wrong(self, value: Any, problem: str) -> InputError:
+    def invalid(self, value: Any, problem: str) -> InputError:
         place = f"{self.path} = " if self.path else ""
-        return file_error(self.source, f"{place}{_shown(value)}: {problem}")
+        return file_error(self.source, f"{place}{_quoted(value)}: {problem}")
 
 
 def from_table(cls: type[T], table: dict[str, Any], where: str) -> T:
@@ -80,13 +80,13 @@ def suggestion(name: str, known: Iterable[str]) -> str:
 
 def _record(cls: Any, table: Any, at: _At) -> Any:
     if not isinstance(table, dict):
-        raise at.wrong(table, "expected a table")
+        raise at.invalid(table, "expected a table")
     table = _with_current_names(cls, table, at)
     hints = get_type_hints(cls)
     settable = {field.name: field for field in fields(cls) if field.init}
     for key in table:
         if key not in settable:
-            raise at.key(key).wrong(table[key], f"unknown key; {suggestion(key, settable)}")
+            raise at.key(key).invalid(table[key], f"unknown key; {suggestion(key, settable)}")
     values = {name: _value(hints[name], table[name], at.key(name)) for name in settable if name in table}
     for name, field in settable.items():
         if name in table or _has_default(field):
@@ -105,7 +105,7 @@ def _with_current_names(cls: Any, table: dict[str, Any], at: _At) -> dict[str, A
     renamed = getattr(cls, "RENAMED", {})
     for old in table.keys() & renamed.keys():
         if renamed[old] in table:
-            raise at.key(old).wrong(table[old], f"is the former name of {renamed[old]}: give one of them")
+            raise at.key(old).invalid(table[old], f"is the former name of {renamed[old]}: give one of them")
     return {renamed.get(key, key): value for key, value in table.items()}
 
 
@@ -124,7 +124,7 @@ def _value(hint: Any, value: Any, at: _At) -> Any:
         raise TypeError(f"{at.path}: a configuration cannot hold {hint}")
     fits = isinstance(value, int | float if hint is float else hint) and (hint is bool or not isinstance(value, bool))
     if not fits or (hint is float and not abs(value) <= sys.float_info.max):
-        raise at.wrong(value, f"expected {_DESCRIPTIONS[hint]}")
+        raise at.invalid(value, f"expected {_DESCRIPTIONS[hint]}")
     return float(value) if hint is float else value
 
 
@@ -132,11 +132,11 @@ def _tuple(hint: Any, value: Any, at: _At) -> tuple[Any, ...]:
     """Convert a list to a tuple, of any length for `tuple[X, ...]`."""
     parts = get_args(hint)
     if not isinstance(value, list | tuple):
-        raise at.wrong(value, f"expected {_description(hint)}")
+        raise at.invalid(value, f"expected {_description(hint)}")
     if len(parts) == 2 and parts[1] is Ellipsis:
         parts = (parts[0],) * len(value)
     if len(value) != len(parts):
-        raise at.wrong(value, f"expected {_description(hint)}, not {len(value)}")
+        raise at.invalid(value, f"expected {_description(hint)}, not {len(value)}")
     return tuple(_value(part, value[i], at.item(i)) for i, part in enumerate(parts))
 
 
@@ -145,7 +145,7 @@ def _choice(options: Iterable[Any], value: Any, at: _At) -> Any:
     for option in options:
         if type(option) is type(value) and option == value:
             return option
-    raise at.wrong(value, f"expected {_one_of(options)}")
+    raise at.invalid(value, f"expected {_one_of(options)}")
 
 
 def _member(hint: Any, value: Any, at: _At) -> Any:
@@ -157,7 +157,7 @@ def _member(hint: Any, value: Any, at: _At) -> Any:
         return _value(members[0], value, at)
     tag, selected = _tag(members)
     if not isinstance(value, dict):
-        raise at.wrong(value, "expected a table")
+        raise at.invalid(value, "expected a table")
     if tag in value:
         options = [option for option in selected if option is not None]
         return _record(selected[_choice(options, value[tag], at.key(tag))], value, at)
@@ -198,7 +198,7 @@ def _plain(value: Any, at: _At) -> Any:
     if isinstance(value, tuple):
         return [_plain(item, at.item(i)) for i, item in enumerate(value)]
     if not isinstance(value, bool | int | float | str):
-        raise at.wrong(value, "expected a number, text, truth value, tuple or dataclass")
+        raise at.invalid(value, "expected a number, text, truth value, tuple or dataclass")
     return value
 
 
@@ -219,7 +219,7 @@ def _one_of(options: Iterable[Any]) -> str:
     return names[0] if len(names) == 1 else f"one of {', '.join(names)}"
 
 
-def _shown(value: Any) -> str:
+def _quoted(value: Any) -> str:
     """Python's text of `value`, cut to fit in a line."""
     try:
         text = repr(value)

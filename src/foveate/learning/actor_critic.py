@@ -206,7 +206,7 @@ def loss(
 def epoch(
     problem: Problem, scenes: SceneSettings, settings: ActorCriticSettings, learner: Learner, key: Key
 ) -> tuple[Learner, EpochReport]:
-    """Simulate a batch and learn from it `passes` times; the random numbers of epoch i depend on (key, i) alone."""
+    """Simulate a batch and learn from it for `update_epochs`; random numbers of epoch i depend on (key, i) alone."""
     batch_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
     first, last = settings.action_std
     action_std = first + (last - first) * jnp.asarray(learner.epoch, float) / settings.epochs

@@ -48,7 +48,7 @@ def micro_batch_size(settings: TrainingSettings, scenes: SceneSettings) -> int:
 def objective(problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key) -> Scalar:
     """Differentiable log det [nat per target], or share of time in view, of an episode under the soft views."""
     values_of, is_terminal = weights if settings.objective == "seen" else log_dets, settings.objective == "terminal"
-    values = values_of(problem, policy, episode, settings.protocol, key, settings.back)
+    values = values_of(problem, policy, episode, settings.protocol, key, settings.backpropagation)
     score = episode_score(values, episode, is_terminal)
     if settings.window is None or not is_terminal:
         return score

@@ -43,7 +43,7 @@ class Progress(eqx.Module):
 
     @classmethod
     def of(cls, learner: Learner) -> "Progress":
-        """The state before the first epoch."""
+        """The state before the first iteration."""
         zero = jnp.zeros((), int)
         return cls(learner, learner, jnp.array(-jnp.inf), best_epoch=zero, below=zero, rollbacks=zero)
 
@@ -72,7 +72,7 @@ def decide(
     are those of held-out scenes. `finite` says that the score and all gradients are.
     """
     if not finite:
-        reason = f"epoch {int(learner.epoch)}: a gradient or score was not finite; the best is kept"
+        reason = f"iteration {int(learner.epoch)}: a gradient or score was not finite; the best is kept"
         return Decision(progress=replace(progress, learner=progress.best), event="not finite", stop_reason=reason)
     best, saturated = float(progress.best_score), at_limit > SATURATED_SHARE
     # A saturated policy never replaces a best one, however well it scores: training cannot continue from it. But the
@@ -88,7 +88,7 @@ def decide(
         f"{at_limit:.0%} of commands at a limit" if saturated else f"held-out score {score:.2f} for {below} validations"
     )
     if int(progress.rollbacks) == MAX_ROLLBACKS:
-        reason = f"epoch {int(learner.epoch)}: collapsed ({why}) again after {MAX_ROLLBACKS} rollbacks to the best"
+        reason = f"iteration {int(learner.epoch)}: collapsed ({why}) again after {MAX_ROLLBACKS} rollbacks to the best"
         return Decision(progress=progress, event="collapse", stop_reason=reason)
     return _roll_back(progress, learner, why, training)
 
@@ -96,12 +96,12 @@ def decide(
 def _roll_back(
     progress: Progress, learner: Learner, why: str, training: TrainingSettings | ActorCriticSettings
 ) -> Decision:
-    # The epoch and the optimizer's step count go on: training from the best then meets other scenes than those that led
-    # to the collapse, and a falling learning rate stays low.
+    # The iteration and the optimizer's step count continue: training from the best then meets other scenes than those
+    # that led to the collapse, and a falling learning rate stays low.
     updates = (learner.epoch * training.updates).astype(jnp.int32)
     optimizer = optax.tree.set(progress.best.optimizer, count=updates)
     restored = replace(progress.best, optimizer=optimizer, epoch=learner.epoch)
     return Decision(
         progress=replace(progress, learner=restored, below=jnp.zeros((), int), rollbacks=progress.rollbacks + 1),
-        event=f"collapse ({why}): back to epoch {int(progress.best_epoch)}",
+        event=f"collapse ({why}): back to iteration {int(progress.best_epoch)}",
     )

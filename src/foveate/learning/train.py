@@ -55,7 +55,7 @@ def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[
     """
     settings = experiment.training
     by_ppo = isinstance(settings, PPOSettings)
-    total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "epochs")
+    total, unit = (settings.steps, "steps") if by_ppo else (settings.epochs, "iterations")
     with Bar(f"training {name}", total, unit, quiet) as bar, _deferred_interrupt(bar, not by_ppo) as interrupted:
 
         def report(validation: Validation, _: int) -> None:
@@ -64,7 +64,7 @@ def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[
                 done, rate = validation.env_steps, rate * validation.env_steps / validation.epoch
             bar.update(done, f"held-out {validation.held_out:.2f}  {rate:.0f}/s")
             if validation.event:
-                bar.say(f"epoch {validation.epoch}: {validation.event}")
+                bar.say(f"iteration {validation.epoch}: {validation.event}")
             if interrupted.is_set():  # the validation is on the disk
                 raise KeyboardInterrupt
 

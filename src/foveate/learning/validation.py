@@ -17,7 +17,7 @@ from foveate.types import Key
 OnValidation = Callable[[Validation, int], None]
 """Called with every validation and the total number of epochs (PPO of Stable-Baselines3: of steps)."""
 
-MAX_ACTION = 0.99
+MAX_FREE_ACTION = 0.99
 """Largest size of a command that is not at a limit: beyond it, tanh has hardly any gradient to recover by."""
 
 
@@ -44,5 +44,5 @@ def validate(
     score = jax.vmap(lambda v, e: episode_score(v, e, objective == "terminal"))(values, episodes)
     counts = jnp.arange(trace.action.shape[1]) < episodes.horizon[:, None]
     # A policy may hold one axis at its limit for good reason; with all axes at their limits it has collapsed.
-    at_limit = jnp.all(jnp.abs(trace.action) > MAX_ACTION, axis=-1)
+    at_limit = jnp.all(jnp.abs(trace.action) > MAX_FREE_ACTION, axis=-1)
     return jnp.mean(score), jnp.mean(at_limit, where=counts)

@@ -30,8 +30,8 @@ def _predict(information: Information, A: Float[Array, "n_y n_y"], W: Float[Arra
 
 def _predicted(information, A, W):
     """P' and A Y^-1."""
-    spread = multiply(A, inverse_spd(information))
-    return symmetrise(inverse_spd(symmetrise(multiply(spread, A.T) + W))), spread
+    product = multiply(A, inverse_spd(information))
+    return symmetrise(inverse_spd(symmetrise(multiply(product, A.T) + W))), product
 
 
 def _predict_jvp(primals, tangents):
@@ -39,14 +39,14 @@ def _predict_jvp(primals, tangents):
 
     Two products where the chain rule through both inverses needs six.
     """
-    prediction, spread = _predicted(*primals)
+    prediction, product = _predicted(*primals)
     d_information, d_A, d_W = tangents
     change = jnp.zeros_like(prediction)
     if not isinstance(d_information, SymbolicZero):
-        gain = multiply(prediction, spread)
+        gain = multiply(prediction, product)
         change += multiply(jax.lax.optimization_barrier(multiply(gain, d_information)), gain.T)
     if not isinstance(d_A, SymbolicZero):
-        moved = multiply(d_A, spread.T)
+        moved = multiply(d_A, product.T)
         change -= multiply(multiply(prediction, moved + moved.T), prediction)
     if not isinstance(d_W, SymbolicZero):
         change -= multiply(multiply(prediction, d_W), prediction)

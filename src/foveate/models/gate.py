@@ -34,8 +34,8 @@ def squared_distance(
 ) -> Float[Array, ""]:
     """(z - H p)^T (H P^-1 H^T + V)^-1 (z - H p), P the predicted information."""
     innovation = measurement - H @ prediction.mean
-    spread = symmetrise(multiply(H, multiply(inverse_spd(prediction.information), H.T)) + V)
-    return innovation @ inverse_spd(spread) @ innovation
+    innovation_covariance = symmetrise(multiply(H, multiply(inverse_spd(prediction.information), H.T)) + V)
+    return innovation @ inverse_spd(innovation_covariance) @ innovation
 
 
 def one_point(
@@ -44,7 +44,7 @@ def one_point(
     H: Float[Array, "n_z n_y"],
     V: Float[Array, "n_z n_z"],
 ) -> Belief:
-    """Belief from one measurement: N(z, V) in the measured part of the state, the first belief (about 0) in the rest.
+    """Belief from one measurement: N(z, V) in the measured part of the state, the initial belief (about 0) in the rest.
 
     Mean H^+ z, covariance H^+ V H^+T + N Y_0^-1 N^T with N = I - H^+ H.
     """

@@ -46,7 +46,7 @@ def standard_points(
     return np.linalg.solve(np.linalg.cholesky(points.T @ (weights[:, None] * points)), points.T).T, weights
 
 
-def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
+def condition_on_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: IsInside) -> Belief:
     """The Gaussian with the mean and covariance of N(mu, C) given that the position Z y is outside of the view.
 
     `is_inside` tests world positions [m]. Position p = Z y has mean m = Z mu and covariance S = Z C Z^T; the rest of
@@ -55,17 +55,17 @@ def given_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_inside: 
     """
     covariance = inverse_spd(belief.information)
     cross = multiply(covariance, Z.T)
-    spread = symmetrise(multiply(Z, cross))
+    position_covariance = symmetrise(multiply(Z, cross))
     middle = Z @ belief.mean
     standard, weights = (jnp.asarray(numbers, float) for numbers in standard_points(len(Z)))
-    points: Float[Array, "points d"] = middle + standard @ cholesky_spd(spread).T
+    points: Float[Array, "points d"] = middle + standard @ cholesky_spd(position_covariance).T
     inside = is_inside(points)
     weights = jnp.where(inside, 0.0, weights)
     # No point inside: nothing was learned. Nearly all inside: the few points left would be a poor sample.
     is_informative = jnp.any(inside) & (jnp.sum(weights) >= MIN_OUTSIDE)
     moved, left = _moments(points, weights)
-    gain = multiply(cross, inverse_spd(spread))
-    shrunk = covariance + multiply(multiply(gain, left - spread), gain.T)
+    gain = multiply(cross, inverse_spd(position_covariance))
+    shrunk = covariance + multiply(multiply(gain, left - position_covariance), gain.T)
     safe = symmetrise(jnp.where(is_informative, shrunk, covariance))
     return Belief(
         mean=jnp.where(is_informative, belief.mean + gain @ (moved - middle), belief.mean),

@@ -16,11 +16,11 @@ from foveate.planning.information import Future
 from foveate.planning.shooting import PlanSettings, plan
 from foveate.planning.tours import straight_ahead
 from foveate.simulation.records import Episode, Instant, Observation, Policy, Protocol, State
-from foveate.simulation.rollout import following, simulate
+from foveate.simulation.rollout import decider, simulate
 from foveate.simulation.step import act
 from foveate.types import Action, Count, Key
 
-MAX_ACTION = 0.99
+MAX_WARM_START_ACTION = 0.99
 """Largest size of a policy's action that an ascent starts from: at the limits, +-1, tanh has no gradient."""
 
 
@@ -87,7 +87,7 @@ class Receding(Policy):
         starts, inner = memory.raw[None], memory.policy
         if self.policy is not None:
             action, inner = self._policy_actions(self.policy, observation, inner, mean_input, policy_key)
-            raw = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
+            raw = jnp.arctanh(jnp.clip(action, -MAX_WARM_START_ACTION, MAX_WARM_START_ACTION))
             starts = jnp.concatenate([raw[None], starts])
         best = plan(self.problem, future, self.settings, plan_key, starts)
         shifted = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
@@ -105,7 +105,7 @@ class Receding(Policy):
         inputs = jnp.broadcast_to(mean_input, (self.window - 1, *mean_input.shape))
         future = Episode(after.pose, after.mean, after.present, inputs, horizon=observation.step + observation.left)
         rest = (future, protocol, key, lambda done: done.action)
-        later = simulate(self.problem, following(policy), *rest, memory=memory, state=after)
+        later = simulate(self.problem, decider(policy), *rest, memory=memory, state=after)
         return jnp.concatenate([action[None], later]), memory
 
 

@@ -14,7 +14,7 @@ from foveate.planning.information import Future
 from foveate.policies.heuristics import twist_towards
 from foveate.types import Key, Scalar
 
-MAX_ACTION = 0.9
+MAX_START_ACTION = 0.9
 """Largest size of an action that an ascent starts from: at the limits, +-1, tanh has no gradient."""
 
 MAX_DWELL = 3
@@ -68,5 +68,5 @@ def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Flo
         return (pose, jnp.where(seen, looks + 1, looks)), action
 
     action = jax.lax.scan(step, (future.pose, jnp.zeros(targets, int)), future.state)[1]
-    raw = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
+    raw = jnp.arctanh(jnp.clip(action, -MAX_START_ACTION, MAX_START_ACTION))
     return raw + RAW_ACTION_STD * jax.random.normal(noise_key, raw.shape)

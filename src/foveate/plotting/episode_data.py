@@ -213,7 +213,14 @@ def episode_data(
 
 
 def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[EpisodeData]:
-    """Run a policy called `name` through every scene of a suite: the episodes that an evaluation measures."""
+    """Run a policy through every episode of a suite, as an evaluation does.
+
+    Args:
+        suite: Suite with one episode per scene.
+        policy: Policy that decides.
+        protocol: "surrogate" or "true".
+        name: Name of the policy, for the titles.
+    """
     traces = evaluate_traces(suite, policy, PROTOCOLS[protocol])
     data = []
     for i, scene in enumerate(suite.scenes):

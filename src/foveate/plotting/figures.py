@@ -58,7 +58,7 @@ def trajectory_figure(episodes: Sequence[EpisodeData], path: Path) -> None:
 
 
 def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
-    """Draw the objective of training batches (thin) and the held-out score (bold) against epochs, for one run or more.
+    """Draw objectives of training batches (thin) and the held-out score (bold) over iterations, for one or more runs.
 
     `runs` are run folders or their `metrics.jsonl`. A star marks the best validation, a dotted vertical line a collapse
     or a value that was not finite; seconds stand along the top for one run, in the legend for several. Raises
@@ -77,7 +77,7 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
         # Each best so far is marked: the last of them is the best of all, whose policy training keeps.
         for best in [each for each in validations if each.best][-1:]:
             axes.plot(best.epoch, best.held_out, marker="*", ms=13, color=color, mec="white", mew=0.8, zorder=5)
-            label += f": best {best.held_out:.2f} at epoch {best.epoch}"
+            label += f": best {best.held_out:.2f} at iteration {best.epoch}"
         label += "" if single else f", {validations[-1].elapsed_s:.0f} s"
         axes.plot(epochs, [each.held_out for each in validations], color=color, lw=2, label=label)
         for each in validations:
@@ -85,7 +85,7 @@ def learning_curve(runs: Path | Sequence[Path], path: Path) -> None:
                 axes.axvline(each.epoch, color=VERMILLION if single else color, ls=":", lw=1.2)
     clean(axes, 9.0)
     axes.grid(color=PALE, lw=0.6)
-    axes.set_xlabel("epoch", fontsize=9.5)
+    axes.set_xlabel("iteration", fontsize=9.5)
     axes.set_ylabel("log det of information [nat per target]", fontsize=9.5)
     axes.margins(x=0.01, y=0.1)
     if single:
@@ -105,7 +105,7 @@ def _curve_legend(single: bool, collapsed: bool) -> list[Line2D]:
 
 
 def _seconds_on_top(axes: Axes, validations: Sequence[Validation]) -> None:
-    """Add a second x axis: the time [s] at which an epoch ended."""
+    """Add a second x axis: the time [s] at which an iteration ended."""
     top = axes.twiny()
     top.set_xlim(axes.get_xlim())
     epochs = [0, *(each.epoch for each in validations)]

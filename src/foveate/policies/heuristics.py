@@ -97,7 +97,7 @@ class Uncertain(Steering):
 
 
 class Lawnmower(Steering):
-    """Sweeps a box in parallel lanes, repeatedly: `box_world` (low and high corner [m]), or that of the first beliefs.
+    """Sweeps a box in parallel lanes, repeatedly: `box_world` (low, high corner [m]), or that of the initial beliefs.
 
     Its memory is the lanes' corners and the index of the next corner.
     """
@@ -136,7 +136,7 @@ def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Arra
     """Resolve the name of a heuristic; raises InputError for an unknown one.
 
     Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
-    box that the lawnmower sweeps; None takes that of the first beliefs.
+    box that the lawnmower sweeps; None takes that of the initial beliefs.
     """
     # Half the depth keeps a target in the middle of the view, whichever way it moves.
     policies: dict[str, Policy] = {

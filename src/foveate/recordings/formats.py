@@ -116,7 +116,7 @@ def _header_dimension(header: list[str] | None) -> int:
     if header is None:
         problem = "the file is empty"
     elif unexpected := [name for i, name in enumerate(names) if name not in COLUMNS or name in names[:i]]:
-        problem = f"unexpected column {_shown(unexpected[0])}"
+        problem = f"unexpected column {_quoted(unexpected[0])}"
     elif missing := [name for name in COLUMNS[:4] if name not in names]:
         problem = f"column {missing[0]!r} is missing"
     raise InputError(f"{problem}; {_HEADER}")
@@ -138,17 +138,17 @@ def _number(text: str, column: str) -> float:
     # Python reads "1_000" as a number, a recording does not; NaN fails the comparison.
     if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE or "_" in text:
         right = f"a finite number of {'seconds' if column == 'time_s' else 'metres'}, at most {MAX_MAGNITUDE:g} in size"
-        raise InputError(f"{column} is {_shown(text)}; it must be {right}")
+        raise InputError(f"{column} is {_quoted(text)}; it must be {right}")
     return value
 
 
 def _checked_id(track_id: str) -> str:
     if not track_id or not track_id.isprintable():
-        raise InputError(f"track_id is {_shown(track_id)}; it must be a name or number of printable characters")
+        raise InputError(f"track_id is {_quoted(track_id)}; it must be a name or number of printable characters")
     return track_id
 
 
-def _shown(text: str) -> str:
+def _quoted(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 

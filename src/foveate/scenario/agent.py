@@ -25,7 +25,7 @@ class DifferentialDrive:
 
     kind: Literal["differential_drive"] = "differential_drive"
     space: Literal["planar", "spatial"] = "planar"
-    """The plane, or the floor of a world in space."""
+    """The plane, or the plane z = 0 of space."""
     v_min_m_s: float = 0.0
     """Least speed ahead; below 0 it can reverse."""
     v_max_m_s: float = 4.0

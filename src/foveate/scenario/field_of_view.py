@@ -33,7 +33,7 @@ class TriangleView:
         _angle(self, "angle_deg", 180.0)
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         return fov_planar.triangle(self.depth_m, math.radians(self.angle_deg))
 
 
@@ -52,7 +52,7 @@ class SectorView:
         _angle(self, "angle_deg", 360.0, up_to=True)
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         return fov_planar.sector(self.depth_m, math.radians(self.angle_deg))
 
 
@@ -73,7 +73,7 @@ class PolygonView:
         return max(math.hypot(*vertex) for vertex in self.vertices_m)
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         return fov_planar.polygon(self.vertices_m)
 
 
@@ -97,7 +97,7 @@ class BallView:
         return math.hypot(*self.center_m) + self.radius_m
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         return fov.ball(self.center_m, self.radius_m)
 
 
@@ -119,7 +119,7 @@ class FrustumView:
         _angle(self, "height_deg", 180.0)
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         width, height = math.radians(self.width_deg), math.radians(self.height_deg)
         return fov_spatial.frustum(self.near_m, self.depth_m, width, height)
 
@@ -139,7 +139,7 @@ class ConeView:
         _angle(self, "angle_deg", 360.0, up_to=True)
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         return fov_spatial.cone(self.near_m, self.depth_m, math.radians(self.angle_deg))
 
 
@@ -156,7 +156,7 @@ class PrismView:
         return self.base.depth_m
 
     def view(self) -> fov.FieldOfView:
-        """The shape."""
+        """Signed-distance shape [m]."""
         return fov_spatial.prism(self.base.view())
 
 

@@ -46,10 +46,10 @@ class Scenario:
         right = "expected 0: these targets have no place for it (Z = [I 0] and a velocity, or Z = B = I)"
         drift = self.scenes.drift_m_s
         require(not any(drift) or problem.motion.takes_drift, "scenes.drift_m_s", drift, right)
-        # The paper's first mean errs by N(0, V) in the world frame before there is a pose: V must be the same for all.
+        # The paper's initial mean errs by N(0, V) in the world frame, before any pose: V must be the same for all.
         V = np.asarray(problem.period.V[0])
         turns = self.sensor.frame == "body" and not np.array_equal(V, V[0, 0] * np.eye(len(V)))
-        right = "expected 'consistent': a first error from N(0, V) is not defined where V turns with the agent"
+        right = "expected 'consistent': an initial error from N(0, V) is not defined where V turns with the agent"
         error = self.scenes.initial_error
         require(not (turns and error == "paper"), "scenes.initial_error", error, right)
 

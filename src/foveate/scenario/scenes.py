@@ -28,8 +28,8 @@ class SceneSettings:
     other kinds the drift is the first velocity. `known_drift`: the agent knows these inputs (the paper: yes).
     `process_noise`: targets also move by N(0, W). `birth_and_death`: in training, a target that leaves the box is
     replaced by a new one that enters on the opposite side. Horizon: `steps`, or `steps_per_target` n. `initial_error`
-    of the first mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
-    from the first belief ("consistent").
+    of the initial mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
+    from the initial belief ("consistent").
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}
@@ -102,7 +102,12 @@ class Scene:
 
 
 def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
-    """Write a scenes file."""
+    """Write a scenes file.
+
+    Args:
+        path: File to write.
+        scenes: Scenes, each with its own id.
+    """
     write_document(path, "scenes", VERSION, {"scenes": [asdict(scene) for scene in scenes]})
 
 
@@ -119,9 +124,15 @@ def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> l
 
 
 def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
-    """Read a scenes file for an agent in `space`; a missing horizon is the scenario's.
+    """Read a scenes file.
 
-    InputError is one line that names file, scene, field and what would be right.
+    Args:
+        path: File to read.
+        space: Space of the agent, which gives the size of poses and positions.
+        settings: Scene settings of the scenario, which give a missing horizon.
+
+    Raises:
+        InputError: One line that names file, scene, field and what would be right.
     """
     data = read_document(path, "scenes", VERSION, "scenes file")
     if unknown := sorted(set(data) - {"scenes"}):

@@ -1,7 +1,7 @@
-"""Settings of targets: their motion in a step of tau seconds, and the first belief about them.
+"""Settings of targets: their motion in a step of tau seconds, and the initial belief about them.
 
 Each kind has `motion(dimension, tau_s)`, the matrices A, B, W, Z of y' = A y + B xi + w, w ~ N(0, W), with position
-Z y, and `prior_covariance(dimension)`, the covariance of the first belief.
+Z y, and `prior_covariance(dimension)`, the covariance of the initial belief.
 """
 
 import math
@@ -66,10 +66,10 @@ def require_predictable(A: np.ndarray, W: np.ndarray, name: str) -> None:
 
 
 class _DiagonalPrior:
-    """First belief of targets whose state is a position, or with its derivatives."""
+    """Initial belief of targets whose state is a position, or with its derivatives."""
 
     def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief [m^2, m^2/s^2, m^2/s^4]."""
+        """Covariance of the initial belief [m^2, m^2/s^2, m^2/s^4]."""
         variances = [float(getattr(self, name)) for name in _VARIANCES if hasattr(self, name)]
         return np.diag(np.repeat(variances, dimension))
 
@@ -80,13 +80,13 @@ class StaticTarget(_DiagonalPrior):
 
     kind: Literal["static"]
     initial_variance_m2: float = 2.0
-    """Variance of a position in the first belief, on each axis."""
+    """Variance of a position in the initial belief, on each axis."""
 
     def __post_init__(self) -> None:
         positive(self, "initial_variance_m2")
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         eye = np.eye(dimension)
         return eye, np.zeros((dimension, 0)), 0.0 * eye, eye
 
@@ -99,7 +99,7 @@ class DriftTarget(_DiagonalPrior):
     process_std_m: float = 0.05
     W: Matrix | None = None
     initial_variance_m2: float = 2.0
-    """Variance of a position in the first belief, on each axis."""
+    """Variance of a position in the initial belief, on each axis."""
 
     def __post_init__(self) -> None:
         at_least(0, self, "process_std_m")
@@ -108,7 +108,7 @@ class DriftTarget(_DiagonalPrior):
             covariance(self.W, "W", len(self.W), definite=False)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         eye = np.eye(dimension)
         W = self.process_std_m**2 * eye if self.W is None else covariance(self.W, "W", dimension, definite=False)
         return eye, eye, W, eye
@@ -129,7 +129,7 @@ class VelocityTarget(_DiagonalPrior):
     Q: Matrix | None = None
     memory_s: float | None = None
     initial_variance_m2: float = 2.0
-    """Variance of a position in the first belief, on each axis."""
+    """Variance of a position in the initial belief, on each axis."""
     initial_velocity_variance_m2_s2: float = 1.0
     """Variance of a velocity, likewise."""
 
@@ -145,7 +145,7 @@ class VelocityTarget(_DiagonalPrior):
             require(self.Q is not None or self.acceleration_m2_s3 > 0, "acceleration_m2_s3", 0.0, right)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         density = _density(self.acceleration_m2_s3, self.Q, dimension)
         if self.memory_s is None:
             return integrators(2, tau_s, density)
@@ -165,7 +165,7 @@ class AccelerationTarget(_DiagonalPrior):
     jerk_m2_s5: float = 0.1
     Q: Matrix | None = None
     initial_variance_m2: float = 2.0
-    """Variance of a position in the first belief, on each axis."""
+    """Variance of a position in the initial belief, on each axis."""
     initial_velocity_variance_m2_s2: float = 1.0
     """Variance of a velocity, likewise."""
     initial_acceleration_variance_m2_s4: float = 0.25
@@ -178,7 +178,7 @@ class AccelerationTarget(_DiagonalPrior):
             covariance(self.Q, "Q", len(self.Q), definite=False)
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         return integrators(3, tau_s, _density(self.jerk_m2_s5, self.Q, dimension))
 
 
@@ -192,7 +192,7 @@ class LinearTarget:
     """A linear-Gaussian target y' = A y + B xi + w, w ~ N(0, W), position Z y.
 
     `A` (n_y x n_y), `B` (n_y x m_y), `W` (n_y x n_y, semidefinite) and `Z` (d x n_y, of rank d) are those of one step
-    of any length; `prior` (n_y x n_y) is the covariance of the first belief.
+    of any length; `prior` (n_y x n_y) is the covariance of the initial belief.
     """
 
     kind: Literal["linear"]
@@ -211,13 +211,13 @@ class LinearTarget:
         require_predictable(A, W, "A, W")
 
     def motion(self, dimension: int, tau_s: float) -> Motion:
-        """A, B, W, Z."""
+        """Motion over one step: A (n_y, n_y), B (n_y, m_y), W (n_y, n_y), Z (d, n_y)."""
         Z = matrix(self.Z, "Z", (dimension, len(self.A)))
         require(int(np.linalg.matrix_rank(Z)) == dimension, "Z", self.Z, f"expected rank {dimension}")
         return np.array(self.A), np.array(self.B), np.array(self.W), Z
 
     def prior_covariance(self, dimension: int) -> np.ndarray:
-        """Covariance of the first belief."""
+        """Covariance of the initial belief."""
         return np.array(self.prior)
 
 

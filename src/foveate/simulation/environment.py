@@ -18,7 +18,7 @@ from foveate.simulation.records import Episode, Observation, Protocol, State, ob
 from foveate.simulation.step import act, instants, predict, start
 from foveate.types import Action, Count, Key, Scalar
 
-CHUNK = 64
+RESETS_PER_CHUNK = 64
 """Episodes drawn at once where some of a batch have ended: the cost of a step follows their number."""
 
 
@@ -108,7 +108,7 @@ def renew(
 
     def renew_chunk(carry):
         states, ended = carry
-        rows = jnp.nonzero(ended, size=min(CHUNK, count), fill_value=count)[0]
+        rows = jnp.nonzero(ended, size=min(RESETS_PER_CHUNK, count), fill_value=count)[0]
         chunk_targets = None if targets is None else targets.at[rows].get(mode="clip")
         fresh = jax.vmap(reset, (None, 0, 0))(environment, states.key.at[rows].get(mode="clip"), chunk_targets)
         # Rows beyond the batch fill up the chunk, and are dropped.

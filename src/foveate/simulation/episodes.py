@@ -1,4 +1,4 @@
-"""Episodes: random scenes, their noise, the truth, and the first belief."""
+"""Episodes: random scenes, their noise, the truth, and the initial belief."""
 
 import math
 from collections.abc import Sequence
@@ -173,7 +173,7 @@ def _with_birth_and_death(
 
 
 def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]) -> Float[Array, "*b n_y"]:
-    """Error of the first mean: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
+    """Error of the initial mean: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
     if settings.initial_error == "consistent":
         return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
     V, H = problem.period.V[0], problem.sensor.H

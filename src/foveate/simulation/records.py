@@ -23,7 +23,7 @@ class Truth(eqx.Module):
 
 
 class Arrivals(eqx.Module):
-    """Births and deaths: the targets present at each instant, and the first mean of a belief that begins then."""
+    """Births and deaths: the targets present at each instant, and the initial mean of a belief that begins then."""
 
     present: Bool[Array, "*instants n"]
     mean: Float[Array, "*instants n n_y"]
@@ -33,7 +33,8 @@ class Episode(eqx.Module):
     """Everything that is fixed before the agent's first decision, the same for every method.
 
     Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth` the
-    simulation is the noise-free one of training, which never corrects a mean.
+    simulation is the noise-free one of training, which never corrects a mean. Positions are in [m], time derivatives in
+    [m/s] and [m/s^2]; `mean` is that of the initial beliefs, in the world frame, `inputs` are the known xi_k.
     """
 
     pose: Pose
@@ -49,7 +50,8 @@ class Observation(eqx.Module):
     """Input of a policy at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
 
     `left` is the number of remaining steps, this one included; `known_input` is xi_k, the input that led to the
-    prediction. Entries where `present` is false are padding.
+    prediction. Entries where `present` is false are padding. Pose and means are in the world frame, positions in [m];
+    `information` is the inverse covariance, for positions in [1/m^2].
     """
 
     step: Count
@@ -78,7 +80,9 @@ class Trace(eqx.Module):
     """Record of one episode; entries after `horizon` steps are padding.
 
     `log_det` is that of the information matrix after step k; `visible` marks the targets actually measured.
-    `rejections` counts the measurements in a row that the gate has rejected; None without a gate.
+    `rejections` counts the measurements in a row that the gate has rejected; None without a gate. Pose and
+    means are in the world frame, positions in [m], `information` in [1/m^2] for positions; `action` is normalised to
+    [-1, 1] on every axis, and `log_det` is in [nat].
     """
 
     pose: Float[Array, "instants ..."]

@@ -18,7 +18,7 @@ from foveate.simulation import step
 from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
 from foveate.types import Action, Key
 
-FULL = Backpropagation()
+FULL_BACKPROPAGATION = Backpropagation()
 """A gradient through all steps, with all states stored."""
 
 Decide = Callable[[Observation, Any, Key], tuple[Action, Any, Any]]
@@ -46,7 +46,7 @@ def simulate(
     *,
     memory: Any = (),
     state: State | None = None,
-    back: Backpropagation = FULL,
+    back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> PyTree:
     """Run all steps of an episode, the one scan over steps; return the records, each array with a leading axis of K.
 
@@ -71,7 +71,7 @@ def simulate(
     return _rematerialised_scan(advance, first, step.instants(episode), back.segment)
 
 
-def following(policy: Policy) -> Decide:
+def decider(policy: Policy) -> Decide:
     """A policy as `simulate` takes it, without notes."""
     return lambda observation, memory, key: (*policy(observation, memory, key), ())
 
@@ -102,16 +102,24 @@ def _play(
     protocol: Protocol,
     key: Key,
     record,
-    back: Backpropagation = FULL,
+    back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> PyTree:
     """Simulate an episode with a policy."""
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
     memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon))
-    return simulate(problem, following(policy), episode, protocol, key, record, memory=memory, back=back)
+    return simulate(problem, decider(policy), episode, protocol, key, record, memory=memory, back=back)
 
 
 def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key) -> Trace:
-    """Run one episode and record everything."""
+    """Run one episode and record everything.
+
+    Args:
+        problem: Models of agent, sensor and targets.
+        policy: Policy that decides at every step.
+        episode: One episode, without a batch axis.
+        protocol: Source of information.
+        key: Random key of the policy.
+    """
 
     def columns(state: State):
         return {"pose": state.pose, "mean": state.mean, "information": state.information[-1], "present": state.present}
@@ -127,7 +135,12 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
 
 
 def log_dets(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Backpropagation = FULL
+    problem: Problem,
+    policy: Policy,
+    episode: Episode,
+    protocol: Protocol,
+    key: Key,
+    back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> Float[Array, "K n"]:
     """log det Y_k of every target after every step, the mean over the levels: the objective of training."""
 
@@ -138,7 +151,12 @@ def log_dets(
 
 
 def weights(
-    problem: Problem, policy: Policy, episode: Episode, protocol: Protocol, key: Key, back: Backpropagation = FULL
+    problem: Problem,
+    policy: Policy,
+    episode: Episode,
+    protocol: Protocol,
+    key: Key,
+    back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> Float[Array, "K n"]:
     """Weight 1 - Phi of every target after every step, the mean over the levels."""
     return _play(problem, policy, episode, protocol, key, lambda outcome: jnp.mean(outcome.weight, axis=0), back)

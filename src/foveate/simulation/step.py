@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from foveate.geometry.linalg import cholesky_spd, multiply
 from foveate.models import belief, gate
 from foveate.models.belief import Belief
-from foveate.models.missed_detection import given_missed_detection
+from foveate.models.missed_detection import condition_on_missed_detection
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import detection_weight
 from foveate.simulation.records import Episode, Instant, Protocol, State
@@ -39,7 +39,8 @@ class Draft(NamedTuple):
 
     `state` begins as the predicted one and ends as that after the update. `covariance` is V as the filter believes it,
     at the predicted means; `measured` marks the targets whose measurement is taken; `weight` is the share of a
-    measurement's information that each level of the protocol counts; `restart` marks the beliefs to be replaced, and holds new ones.
+    measurement's information that each level of the protocol counts; `restart` marks the beliefs to be replaced, and
+    holds new ones.
     """
 
     predicted: State
@@ -216,7 +217,7 @@ def use_missed_detections(problem: Problem, protocol: Protocol, draft: Draft) ->
     def is_inside(positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
         return problem.sensor.view.contains(problem.agent.space.to_body(state.pose, positions_world))
 
-    outside = jax.vmap(lambda m, Y: given_missed_detection(Belief(m, Y), problem.motion.Z, is_inside))(
+    outside = jax.vmap(lambda m, Y: condition_on_missed_detection(Belief(m, Y), problem.motion.Z, is_inside))(
         state.mean, state.information[0]
     )
     return _with_beliefs(draft, ~draft.sensed.in_view, outside.mean, outside.information)

@@ -46,13 +46,24 @@ def suite(settings: SceneSettings, problem: Problem, seed: int, targets: int, co
 
 
 def table1(problem: Problem, seed: int = SUITE_SEED) -> list[Scene]:
-    """The paper's test distribution, 30 scenes in each of its six cells; `table1` proper has the default seed."""
+    """The paper's test distribution, 30 scenes in each of its six cells; `table1` proper has the default seed.
+
+    Args:
+        problem: Models of agent, sensor and targets.
+        seed: Seed of the scenes.
+    """
     cells = [(targets, biased) for biased in (False, True) for targets in TABLE1_TARGETS]
     return _cells(SceneSettings(), problem, seed, cells)
 
 
 def own_suite(settings: SceneSettings, problem: Problem, seed: int = SUITE_SEED) -> list[Scene]:
-    """Test scenes of a scenario: 30 each with its smallest, middle and largest number of targets."""
+    """Test scenes of a scenario: 30 each with its smallest, middle and largest number of targets.
+
+    Args:
+        settings: Scene settings of the scenario.
+        problem: Models of agent, sensor and targets.
+        seed: Seed of the scenes.
+    """
     fewest, most = settings.targets_min, settings.targets_max
     counts = sorted({fewest, (fewest + most) // 2, most})
     return _cells(settings, problem, seed, [(targets, any(settings.drift_m_s)) for targets in counts])

@@ -63,7 +63,7 @@ def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance
             model, `max_range` and `fov_angle`, named as in Stone Soup's radars, sees a sector.
         predictor: gives A and W, and B where it has a control model.
         tau_s: control period [s].
-        prior_covariance: of a first belief (n_y, n_y), in Stone Soup's order.
+        prior_covariance: of an initial belief (n_y, n_y), in Stone Soup's order.
     """
     agent = _body_of(sensor).agent
     motion_model, measurement, order = _models(sensor, predictor)

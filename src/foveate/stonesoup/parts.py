@@ -70,7 +70,7 @@ class TwistActionGenerator(ActionGenerator):
 
     @property
     def default_action(self) -> TwistAction:
-        """As still as the limits allow."""
+        """Stand as still as the limits allow."""
         return self.action_from_value(np.clip(0.0, *self._limits))
 
     @property

@@ -15,12 +15,12 @@ from matplotlib.rcsetup import cycler
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from foveate.errors import InputError
-from foveate.evaluation.comparison import Overall
 from foveate.io.grouping import group_by
-from foveate.plotting.comparison import log_axis, tidy
 from foveate.plotting.figures import COLUMNS, WIDTH
 from foveate.plotting.scene import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION, clean, new_figure, save
 from foveate.scenario.factors import Factor
+from foveate.study.comparison import Overall
+from foveate.study.comparison_figures import log_axis, tidy
 from foveate.study.robustness import ORACLE, Verdict
 
 HALO = withStroke(linewidth=2.5, foreground="white")
@@ -153,7 +153,7 @@ def _panel(axes: Axes, factor: Factor, verdicts: Sequence[Verdict], styles: Mapp
         x, mean = [verdict.value for verdict in ours], np.array([verdict.mean for verdict in ours])
         bars = None if method == ORACLE else np.abs(np.array([verdict.ci95 for verdict in ours]).T - mean)
         axes.errorbar(x, mean, bars, lw=1.5, ms=4.5, elinewidth=1.0, capsize=2, **styles[method])
-    lower_bounds = {verdict.value: verdict.floor for verdict in verdicts}
+    lower_bounds = {verdict.value: verdict.lower_bound for verdict in verdicts}
     axes.plot(list(lower_bounds), list(lower_bounds.values()), color=GREY, ls=":", lw=1.4)
     axes.xaxis.set_major_locator(FixedLocator(list(factor.values)))
     axes.xaxis.set_minor_locator(NullLocator())

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from foveate.evaluation.bounds import lower_bounds
-from foveate.evaluation.comparison import Comparison, as_json, compare
 from foveate.evaluation.evaluate import prepare
 from foveate.experiment.presets import PPO
 from foveate.experiment.run_folder import METRICS, read_validations
@@ -17,10 +16,11 @@ from foveate.io.provenance import provenance
 from foveate.io.tables import markdown
 from foveate.io.toml import digest
 from foveate.plotting.animation import animate
-from foveate.plotting.comparison import duel_figure, learning_curves
 from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.scenario.scenes import Scene
 from foveate.study import robustness, tables
+from foveate.study.comparison import Comparison, as_json, compare
+from foveate.study.comparison_figures import duel_figure, learning_curves
 from foveate.study.figures import pareto_figure, robustness_figure
 from foveate.study.methods import Acting, Benchmark, can_train
 from foveate.study.run import Results, trained_policy
@@ -140,7 +140,7 @@ class _Page:
             **{name: getattr(study, name) for name in names},
             "scenes": "table1",
             "training_seeds": list(study.seeds),
-            "world": digest(study.experiment),
+            "scenario": digest(study.experiment),
             "trainings": [
                 {"name": each.name, "seed": each.seed, "experiment": digest(each.experiment), **asdict(each.outcome)}
                 for each in self.results.trained

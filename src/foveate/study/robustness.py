@@ -27,16 +27,21 @@ ORACLE = "omniscient"
 class Point:
     """One method (of one training seed) in one changed scenario: score [nat per target] and share seen of each scene.
 
-    `floor` is the lower bound, the mean score of never seeing anything [nat per target].
+    `lower_bound` is the lower bound, the mean score of never seeing anything [nat per target].
     """
 
     factor: str
     value: float
     method: str
     training_seed: int | None
-    floor: float
+    lower_bound: float
     scores: Sequence[float]
     seen: Sequence[float]
+
+
+def point_of(record: dict[str, Any]) -> Point:
+    """Read a point from its fields; `lower_bound` was called `floor` in version 0.1."""
+    return Point(**{"lower_bound" if name == "floor" else name: value for name, value in record.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +57,7 @@ class Verdict:
     mean: float
     ci95: tuple[float, float]
     seen_fraction: float
-    floor: float
+    lower_bound: float
     normalised_score: float | None
     difference: float | None
     difference_ci95: tuple[float, float] | None
@@ -72,7 +77,7 @@ def changed_benchmark(
 
 
 def measure(method: Method, benchmark: Benchmark, protocol: str, policy: Policy | None) -> dict[str, Any]:
-    """Measure the fields `floor`, `scores` and `seen` of a `Point`."""
+    """Measure the fields `lower_bound`, `scores` and `seen` of a `Point`."""
     suite = benchmark.suite
     if isinstance(method, Acting):  # not timed, unlike in `rows`: timing would compile each policy again
         acting = method.policy(benchmark.experiment, policy)
@@ -80,9 +85,9 @@ def measure(method: Method, benchmark: Benchmark, protocol: str, policy: Policy 
         rows = episode_rows(suite, method.name, protocol, trace, [0.0] * len(suite.scenes))
     else:
         rows = method.rows(benchmark, protocol, policy, lambda done: None)
-    (floor,) = lower_bounds(suite.problem, suite.scenes).values()
+    (lower_bound,) = lower_bounds(suite.problem, suite.scenes).values()
     scores = [row.score for row in rows if row.score is not None]
-    return {"floor": floor, "scores": scores, "seen": [row.seen_fraction for row in rows]}
+    return {"lower_bound": lower_bound, "scores": scores, "seen": [row.seen_fraction for row in rows]}
 
 
 def verdicts(factor: Factor, points: Sequence[Point]) -> list[Verdict]:
@@ -106,8 +111,8 @@ def _verdict(factor: Factor, group: Sequence[Point], scores: Mapping[tuple[str, 
         mean=mean,
         ci95=mean_interval(own),
         seen_fraction=float(np.mean([point.seen for point in group])),
-        floor=first.floor,
-        normalised_score=None if oracle is None else normalised_score(mean, first.floor, float(oracle.mean())),
+        lower_bound=first.lower_bound,
+        normalised_score=None if oracle is None else normalised_score(mean, first.lower_bound, float(oracle.mean())),
         difference=None if change is None else change.mean,
         difference_ci95=None if change is None else change.ci95,
         by_seed=tuple(float(np.mean(point.scores)) for point in group),

@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 
 from foveate import __version__
 from foveate.errors import InputError
-from foveate.evaluation.comparison import Part
 from foveate.evaluation.evaluate import Row
-from foveate.experiment.checkpoint import RENAMED, load_run
+from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
@@ -29,16 +28,15 @@ from foveate.learning.train import train
 from foveate.names import InitialError
 from foveate.scenario.factors import Factor
 from foveate.simulation.records import Policy
+from foveate.study.comparison import Part
 from foveate.study.methods import Benchmark, Method, Training, check_rows
-from foveate.study.robustness import Point, measure
+from foveate.study.robustness import Point, measure, point_of
 from foveate.study.study import Study, benchmark_of, changed_benchmarks
 
 VERSION = 1
 """Of the files of jobs; raised, too, when a method gives other rows than before."""
-
 JOBS, TRAININGS = "units", "trainings"
 """Folders of the results of jobs, and of run folders."""
-
 Say = Callable[[str], None]
 """Takes a line for the user."""
 
@@ -146,7 +144,7 @@ class _Factory:
             key=lambda: _training_key(training, seed),
             compute=lambda note: records(self._train(training, seed, run, note)),
             encode=lambda records: asdict(records[0].outcome),
-            decode=lambda result: records(Outcome(**{RENAMED.get(name, name): value for name, value in result.items()})),
+            decode=lambda result: records(Outcome(**{FORMER.get(name, name): value for name, value in result.items()})),
         )
 
     def _train(self, training: Training, seed: int, run: Path, note: Say) -> Outcome:
@@ -158,7 +156,7 @@ class _Factory:
             done = validation.env_steps if is_ppo else validation.epoch
             note(f"{done} of {total}, held-out {validation.held_out:.2f}")
             if validation.event:
-                self.say(f"{run}: epoch {validation.epoch}: {validation.event}")
+                self.say(f"{run}: iteration {validation.epoch}: {validation.event}")
 
         outcome, mark = None, self.out / JOBS / f"training-{run.name}.begun"
         is_begun = all(path.exists() for path in (mark, run / LAST, run / BEST)) and mark.read_text() == key
@@ -217,7 +215,7 @@ class _Factory:
             key=lambda: self._key(method, seed, protocol, list(self.changed[factor.name].values())),
             compute=compute,
             encode=lambda points: [asdict(point) for point in points],
-            decode=lambda result: [Point(**point) for point in result],
+            decode=lambda result: [point_of(point) for point in result],
         )
 
     def _key(self, method: Method, seed: int | None, protocol: str, benchmarks: Sequence[Benchmark]) -> str:

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from foveate.evaluation.bounds import Cell
-from foveate.evaluation.comparison import Comparison, Overall
 from foveate.evaluation.summary import Summary
 from foveate.io.grouping import group_by
 from foveate.io.tables import Table
 from foveate.scenario.factors import Factor
+from foveate.study.comparison import Comparison, Overall
 from foveate.study.robustness import ORACLE, Point, Verdict, verdicts
 
 SIGNIFICANT = 0.05

@@ -317,7 +317,7 @@ def test_settings_are_those_of_stable_baselines():
     default = {name: each.default for name, each in inspect.signature(Learner).parameters.items()}
     ours = PPO["ppo"]
     assert ours.environments * ours.rollout_steps == default["n_steps"]
-    assert (ours.batch, ours.passes, ours.learning_rate) == (
+    assert (ours.batch, ours.update_epochs, ours.learning_rate) == (
         default["batch_size"],
         default["n_epochs"],
         default["learning_rate"],

@@ -9,8 +9,8 @@ from foveate.errors import InputError
 def run(options: Plan) -> int:
     """Plan, print the summary, write the file."""
     check_output(options.json, options.scenes)
-    if sum(world is not None for world in (options.run, options.config, options.preset)) > 1:
-        raise InputError("--run, --config and --preset: each is a world to plan in; give one of them")
+    if sum(source is not None for source in (options.run, options.config, options.preset)) > 1:
+        raise InputError("--run, --config and --preset: each names a scenario; give one of them")
     evaluation = api.plan(
         options.scenes,
         experiment=options.config or options.preset or "paper",

@@ -8,8 +8,8 @@ from pathlib import Path
 from foveate.cli.common import check_seed, print_table
 from foveate.cli.reproduce import Reproduce
 from foveate.errors import InputError
-from foveate.evaluation.comparison import Comparison
 from foveate.io.progress import Bar
+from foveate.study.comparison import Comparison
 from foveate.study.methods import Method
 from foveate.study.publish import heading, publish
 from foveate.study.run import jobs, reproduce

@@ -59,12 +59,12 @@ def _train(experiment: Experiment, out: Path, seed: int, resume: bool) -> Outcom
     except (KeyboardInterrupt, OSError) as error:
         by_hand = isinstance(error, KeyboardInterrupt)
         if by_hand or (out / CONFIG).exists():
-            how = _kept(out, isinstance(experiment.training, PPOSettings))
+            how = _resume_hint(out, isinstance(experiment.training, PPOSettings))
             print(f"{'interrupted' if by_hand else 'failed'}: {how}", file=sys.stderr)
         raise
 
 
-def _kept(out: Path, by_ppo: bool) -> str:
+def _resume_hint(out: Path, by_ppo: bool) -> str:
     """Describe what an unfinished training leaves."""
     if by_ppo:
         return "its best policy so far is kept" if (out / BEST).exists() else "it has no policy yet"
@@ -74,7 +74,7 @@ def _kept(out: Path, by_ppo: bool) -> str:
 
 
 def _report(outcome: Outcome, out: Path) -> int:
-    best = f"best of {outcome.epochs} epochs at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
+    best = f"best of {outcome.epochs} iterations at {outcome.best_epoch}, held-out score {outcome.best_score:.2f}"
     print(f"{out}: {best}")
     if outcome.rollbacks:
         print(f"{out}: collapsed and was rolled back to its best {outcome.rollbacks} times (metrics.jsonl says when)")

@@ -81,7 +81,7 @@ class _Validator:
             self.best_score, self.best_epoch = held_out, self.epoch
             self.files.save_best(policy, validation)
         if not finite:
-            self.stop_reason = f"epoch {self.epoch}: a weight or score was not finite; the best is kept"
+            self.stop_reason = f"iteration {self.epoch}: a weight or score was not finite; the best is kept"
         self.files.append(validation, self.events)
         self.events.add({name: float(value) for name, value in model.logger.name_to_value.items()}, self.epoch)
         self.on_validation(validation, training.steps)
@@ -112,7 +112,7 @@ def train(experiment: Experiment, out: Path, seed: int = 0, on_validation: OnVal
             if _is_finite(model):
                 raise
             reason = f"a weight was not finite ({type(error).__name__})"
-            validator.stop_reason = f"epoch {validator.epoch}: {reason}; the best is kept"
+            validator.stop_reason = f"iteration {validator.epoch}: {reason}; the best is kept"
     return Outcome(
         epochs=validator.epoch,
         best_epoch=validator.best_epoch,
@@ -146,7 +146,7 @@ def make_ppo(experiment: Experiment, training: PPOSettings, seed: int) -> "PPO":
         learning_rate=rate if training.schedule == "constant" else lambda left: rate * max(left, 0.0),
         n_steps=training.rollout_steps,
         batch_size=training.batch,
-        n_epochs=training.passes,
+        n_epochs=training.update_epochs,
         gamma=training.discount,
         gae_lambda=training.gae_lambda,
         clip_range=training.clip,

@@ -9,9 +9,9 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from foveate.experiment.run_folder import Validation
-from foveate.plotting import comparison as figures
 from foveate.plotting import scene as drawing
-from foveate.plotting.comparison import duel_figure, learning_curves
+from foveate.study import comparison_figures as figures
+from foveate.study.comparison_figures import duel_figure, learning_curves
 
 CHECK = Validation(
     epoch=50, objective=1.0, gradient_norm=2.0, held_out=3.0, at_limit=0.0, best=True, epochs_per_s=9.0, elapsed_s=8.0

@@ -8,8 +8,8 @@ from helpers.comparisons import BASE, LOWEST, OTHER, SCENES, SEEDS, made_up, row
 from scipy import stats
 
 from foveate.evaluation.bounds import with_normalised_scores
-from foveate.evaluation.comparison import as_json, compare
 from foveate.evaluation.summary import summarise
+from foveate.study.comparison import as_json, compare
 
 
 @pytest.fixture(scope="module")
