@@ -144,7 +144,7 @@ class _Factory:
             key=lambda: _training_key(training, seed),
             compute=lambda note: records(self._train(training, seed, run, note)),
             encode=lambda records: asdict(records[0].outcome),
-            decode=lambda result: records(Outcome(**{FORMER.get(name, name): value for name, value in result.items()})),
+            decode=lambda result: records(outcome_of(result)),
         )
 
     def _train(self, training: Training, seed: int, run: Path, note: Say) -> Outcome:
