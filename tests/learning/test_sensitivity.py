@@ -147,7 +147,7 @@ def test_the_printed_form_is_partial():
 
 def test_unsupported_problems_are_rejected():
     problem, policy, episode = made("velocity, frustum")
-    with pytest.raises(ValueError, match="lift a planar problem"):
+    with pytest.raises(ValueError, match="embed a planar problem"):
         policy_gradient(Scenario().problem(), policy, episode)
     with pytest.raises(ValueError, match="without memory"):
         policy_gradient(problem, Lawnmower(problem, 0.5), episode)

@@ -41,8 +41,7 @@ import json
 import jax.numpy as jnp
 from dataclasses import asdict
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.episodes import scene_episodes
-from foveate.simulation.suites import table1
+from foveate.simulation.suites import scene_episodes, table1
 scenario = Scenario()
 problem = scenario.problem()
 assert problem.tau.dtype == jnp.float32

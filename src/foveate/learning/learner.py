@@ -52,7 +52,7 @@ def run_epochs(epoch: Epoch, count: Count, learner: Learner, key: Key) -> tuple[
 
     zero = EpochReport(jnp.zeros(()), jnp.zeros(()), jnp.array(True))
     arrays, total = jax.lax.fori_loop(0, count, step, (arrays, zero))
-    return eqx.combine(arrays, static), replace(total, objective=total.objective / count)
+    return eqx.combine(arrays, static), replace(total, objective=total.objective / count.astype(total.objective.dtype))
 
 
 def step_scores(values: Float[Array, "K n"], episode: Episode) -> Float[Array, " K"]:

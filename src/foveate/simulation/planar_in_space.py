@@ -6,6 +6,7 @@ They make statements about SE(3), such as Proposition 1, apply to planar robots.
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -45,7 +46,8 @@ def embedded_problem(problem: Problem) -> Problem:
 
 def _embedded_motion(motion: LinearGaussian) -> LinearGaussian:
     floor = jnp.zeros_like(motion.Z[..., :1, :])
-    return replace(motion, Z=jnp.concatenate([motion.Z, floor], axis=-2))
+    # Not by `replace`, whose check of shapes knows no schedule: there every matrix has a leading axis.
+    return eqx.tree_at(lambda m: m.Z, motion, jnp.concatenate([motion.Z, floor], axis=-2))
 
 
 def embedded_pose(pose: Float[Array, "3"]) -> Float[Array, "4 4"]:

@@ -19,7 +19,7 @@ from foveate.evaluation.evaluate import Row
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
-from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation
+from foveate.experiment.run_folder import BEST, LAST, Outcome, Validation, outcome_of
 from foveate.io.cache import Job
 from foveate.io.files import sole_writer, write_atomic
 from foveate.io.grouping import group_by
