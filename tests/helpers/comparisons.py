@@ -1,9 +1,9 @@
 """A comparison of made-up rows of a network of two training seeds, another method and the omniscient planner."""
 
 import numpy as np
-from foveate.evaluation.comparison import Comparison, Part, compare
 
 from foveate.evaluation.evaluate import Row
+from foveate.study.comparison import Comparison, Part, compare
 
 SCENES = 8
 CELLS = (("unbiased", 3), ("biased", 5))

@@ -88,4 +88,4 @@ def test_differentiation_settings_are_checked():
     for name in ("micro_batch", "segment", "window"):
         with pytest.raises(ValueError, match=f"{name} = 0: expected >= 1"):
             TrainingSettings(**{name: 0})
-    assert eqx.tree_equal(TrainingSettings(segment=3, window=6).back, Backpropagation(segment=3, window=6))
+    assert eqx.tree_equal(TrainingSettings(segment=3, window=6).backpropagation, Backpropagation(segment=3, window=6))
