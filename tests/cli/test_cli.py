@@ -3,6 +3,7 @@
 import json
 import re
 import resource
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -65,6 +66,14 @@ def test_help_needs_no_jax_and_names_every_command():
     assert done.stdout.strip().endswith("False")
     for command in ("train", "evaluate", "plan", "fit", "replay", "render", "view", "export"):
         assert command in done.stdout
+
+
+def test_the_package_runs_as_a_module(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.setattr(sys, "argv", ["foveate", "--version"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("foveate", run_name="__main__")
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
 
 
 def test_module_runs_as_the_command():
