@@ -1,8 +1,8 @@
-"""One step of the simulation as a tuple of named pure stages, fixed once for an episode by `stages`.
+"""One step of the simulation as a tuple of named pure stages, which `stages` chooses for the kind of episode.
 
-Step k: predict p_{k+1}, P_{k+1}; observe; decide u_k at T_k; then the stages: move to T_{k+1}, sense y_{k+1}, gate
-(association), weigh, correct and update to mu_{k+1}, Y_{k+1}. A scenario without truth, gate, missed detections or
-births and deaths has no such stage, and does not pay for it.
+Step k: predict p_{k+1}, P_{k+1}; observe; decide u_k at T_k; then the stages: move to T_{k+1}, sense y_{k+1}, gate the
+measurements, correct the means, weigh, and update to mu_{k+1}, Y_{k+1}. A scenario without truth, gate, missed
+detections or births and deaths has no such stage, and does not pay for it.
 """
 
 from collections.abc import Callable
