@@ -13,19 +13,20 @@ REQUIREMENTS := pyproject.toml constraints.txt
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 IS_NEW_ENOUGH := -c 'import sys; sys.exit(sys.version_info < (3, 11))'
 
-.PHONY: help demo test test-all lint docs bench package coverage fuzz soak kill audit clean
+.PHONY: help demo test test-all test-exhaustive lint docs bench package coverage fuzz soak kill audit clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make demo    install the core, then run examples/demo.py: a table on the screen, pictures in runs/demo/'
-	@echo 'make test    install the core and the test tools, then run ruff, pyright and the quick tests (3 minutes)'
-	@echo 'make test-all    the same with every test: also the slow ones, and those of a browser and of PyTorch'
+	@echo 'make test    install the core and the test tools, then run ruff, pyright and the quick tests (some ten minutes)'
+	@echo 'make test-all    the same with the slow tests, and those of a browser and of PyTorch'
+	@echo 'make test-exhaustive    the tests that take minutes each: thousands of runs, kilometres of ways'
 	@echo 'make lint    the same installation, ruff and pyright only'
 	@echo 'make docs    install the site generator, then build the documentation into site/; broken links are rejected'
 	@echo 'make bench   the same installation, then foveate bench, beside benchmarks/baseline.json'
 	@echo 'make package the same installation, then wheel and sdist into dist/'
 	@echo 'make coverage  every test in a random order, with the line coverage of each file'
-	@echo 'make fuzz    100,000 hostile inputs; make kill: 40 trainings killed; make soak: an hour of a robot, in its own time'
+	@echo 'make fuzz    200,000 hostile inputs; make kill: 60 trainings killed; make soak: an hour of a robot, in its own time'
 	@echo 'make audit   look up the pinned dependencies in lists of known vulnerabilities'
 	@echo 'make clean   remove .venv and all caches; runs/ stays'
 	@echo
@@ -45,7 +46,11 @@ test: lint
 
 test-all: $(if $(EXTRA),$(VENV)/.stamp-extra-$(EXTRA)) lint
 	@echo '== all tests: pytest, two at a time'
-	@$(BIN)/python -m pytest -n 2 $(COUNTED) $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n 2 -m 'not exhaustive' $(COUNTED) $(PYTEST_ARGS)
+
+test-exhaustive: $(VENV)/.stamp-extra-ppo
+	@echo '== exhaustive tests: pytest, two at a time'
+	@$(BIN)/python -m pytest -n 2 -m exhaustive $(PYTEST_ARGS)
 
 lint: $(VENV)/.stamp-dev
 	@echo '== style: ruff check'

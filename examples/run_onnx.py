@@ -7,9 +7,12 @@ Copy `OnnxPolicy` to your robot: it converts beliefs (means and covariances in t
 network, and returns the command.
 """
 
+import hashlib
 import json
+import re
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -21,12 +24,26 @@ class OnnxPolicy:
     def __init__(self, path: str) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # a network this small is slower on several threads
-        self.session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-        self.facts = self.session.get_modelmeta().custom_metadata_map
-        if (self.facts.get("format"), self.facts.get("format_version")) != ("foveate-policy", "1"):
-            raise ValueError(f"{path}: not a foveate-policy of version 1: export it with the foveate of this example")
-        self.wanted = [each.name for each in self.session.get_inputs()]
-        self.output, self.model = json.loads(self.facts["output"]), json.loads(self.facts["model"])
+        data = self.intact(path)
+        try:
+            self.session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+            self.facts = self.session.get_modelmeta().custom_metadata_map
+            if (self.facts.get("format"), self.facts.get("format_version")) != ("foveate-policy", "1"):
+                raise ValueError("not a foveate-policy of version 1")
+            self.wanted = [each.name for each in self.session.get_inputs()]
+            self.output, self.model = json.loads(self.facts["output"]), json.loads(self.facts["model"])
+        except Exception as error:  # of many classes of onnxruntime, without the file's name
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise ValueError(f"{path}: {reason:.200}: export it with the foveate of this example") from error
+
+    @staticmethod
+    def intact(path: str) -> bytes:
+        """Bytes of a file whose digest fits: another byte may be another command, which nothing else would tell."""
+        data = Path(path).read_bytes()
+        digests = re.findall(rb"sha256\x12\x40([0-9a-f]{64})", data)  # key and value of the metadata
+        if not digests or hashlib.sha256(data.replace(digests[-1], b"0" * 64)).hexdigest().encode() != digests[-1]:
+            raise ValueError(f"{path}: damaged, or of an earlier foveate: export it with the foveate of this example")
+        return data
 
     def predict(self, mean, covariance, known_input=None, step=0):
         """Predict the beliefs at the end of the coming step: A mean + B xi, A P A^T + W."""
@@ -50,6 +67,7 @@ class OnnxPolicy:
             "present": np.ones(len(mean), bool),
             "known_input": known_input.astype(np.float32),
             "steps_left": np.array(steps_left or self.facts["steps_left"], np.int64),
+            "step": np.array(step, np.int64),
         }
         (control,) = self.session.run(["control"], {name: inputs[name][None] for name in self.wanted})
         return dict(zip(self.output["axes"], control[0].tolist(), strict=True))

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 
 from foveate.learning.devices import use_cores
@@ -26,6 +25,7 @@ use_cores()
 from foveate.bench.timing import in_turn, peak_memory_mib
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
+from foveate.io.figures import BLUE, GREY, LEGEND, TITLE, WIDTH, new_figure, save, tidy
 from foveate.learning.loop import advance_of
 from foveate.learning.policy_gradient import begin
 
@@ -64,9 +64,8 @@ def experiment_of(targets: int, steps: int, episodes: int) -> Experiment:
 def seconds_of(size: dict[str, int], repeats: int) -> float:
     """Median time of a compiled training step [s]."""
     experiment = experiment_of(**size)
-    problem = experiment.scenario.problem()
-    learner = begin(experiment.policy.policy(problem, jax.random.key(0)), experiment.training)
-    program = advance_of(experiment, problem)
+    learner = begin(experiment.new_policy(jax.random.key(0)), experiment.training)
+    program = advance_of(experiment)
     count = max(1, 4096 // (size["targets"] * size["steps"] * size["episodes"] // 128 + 1))
     return float(np.median(in_turn([lambda: program(jnp.array(count), learner, jax.random.key(1))], repeats))) / count
 
@@ -85,17 +84,18 @@ def long_horizon() -> dict[str, float]:
 
 def plot(growth: dict[str, dict], path: Path) -> None:
     """Plot the seconds of a training step over each size, with the fitted slopes."""
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), sharey=True, layout="constrained")
+    figure = new_figure(WIDTH, 3.2)
+    axes = figure.subplots(1, 3, sharey=True)
     for axis, (name, numbers) in zip(axes, growth.items(), strict=True):
         sizes, seconds = np.array(numbers["sizes"], float), np.array(numbers["seconds"])
-        axis.loglog(sizes, seconds, "o-", color="tab:blue", label=f"measured: slope {numbers['slope']:.2f}")
-        axis.loglog(sizes, seconds[-1] * sizes / sizes[-1], ":", color="0.5", label="linear")
+        axis.loglog(sizes, seconds, "o-", color=BLUE, lw=1.5, ms=4.5, label="measured")
+        axis.loglog(sizes, seconds[-1] * sizes / sizes[-1], ":", color=GREY, lw=1.4, label="linear")
+        tidy(axis, name)
         others = ", ".join(f"{value} {other}" for other, value in FIXED.items() if other != name)
-        axis.set(xlabel=name, title=others)
-        axis.grid(alpha=0.3)
-        axis.legend(frameon=False)
-    axes[0].set_ylabel("training step [s]")
-    figure.savefig(path, dpi=130)
+        axis.set_title(f"{others}: slope {numbers['slope']:.2f}", **TITLE)
+    axes[0].set_ylabel("training step [s]", fontsize=9.5)
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, fontsize=9, **LEGEND)
+    save(figure, path)
 
 
 def main() -> None:

@@ -28,7 +28,8 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.policies.heuristics import heuristic
+from foveate.models.robot import Robot
+from foveate.planning.named import heuristic_policy
 from foveate.simulation.records import TRUE, Episode, Policy, State, observe
 from foveate.simulation.step import act, instants, predict, start
 from foveate.simulation.suites import table1
@@ -61,18 +62,19 @@ def drive(problems: tuple[Problem, Problem], policy: Policy, episode: Episode, k
         plain, conditioned = ahead
         mixed = eqx.tree_at(lambda s: s.mean, plain, conditioned.mean)
         seen = {"plain": plain, "conditioned": conditioned, "mean": mixed}[observed]
-        observation = observe(seen, instant.known_input, episode.horizon)
+        observation = observe(seen, instant.known_input, episode.horizon, Robot.of(problems[0]))
         action, memory = policy(observation, memory, jax.random.fold_in(key, seen.step))
         pairs = zip(problems, ahead, strict=True)
         plain, conditioned = (act(problem, TRUE, predicted, instant, action) for problem, predicted in pairs)
-        assert instant.reality is not None, "episodes of a suite have truth"
+        assert instant.truth is not None, "episodes of a suite have truth"
         states = plain.state, conditioned.state
-        errors = _errors(problems[0], states, instant.reality.state)
+        errors = _errors(problems[0], states, instant.truth.state)
         return (states, memory), Course(plain.measured, *errors)
 
     steps, first = instants(episode), start(problems[0], episode, TRUE)
     first_input = jax.tree.map(lambda x: x[0], steps.known_input)
-    memory = policy.start(observe(predict(problems[0], first, first_input), first_input, episode.horizon))
+    predicted = predict(problems[0], first, first_input)
+    memory = policy.start(observe(predicted, first_input, episode.horizon, Robot.of(problems[0])))
     return jax.lax.scan(step, ((first, first), memory), steps)[1]
 
 
@@ -153,7 +155,7 @@ def main() -> None:
         (problem, replace(problem, sensor=replace(problem.sensor, uses_missed_detections=True))),
         policy_keys(suite),
     )
-    policies = {name: heuristic(name, problem, float(scenario.view.depth_m)) for name in given.method}
+    policies = {name: heuristic_policy(name, problem, float(scenario.view.depth_m)) for name in given.method}
     policies |= {str(run): load_run(run)[1] for run in given.run}
     courses = {}
     for name, policy in policies.items():

@@ -28,9 +28,9 @@ DEEPER = AttentionSettings(agent_widths=(64,), target_widths=(64, 64, 64), out_w
 
 def timed(experiment: Experiment):
     """Return a function that trains for ITERATIONS iterations and returns the seconds per episode step."""
-    problem, scenes, training = experiment.scenario.problem(), experiment.scenario.scenes, experiment.training
-    learner = begin(experiment.policy.policy(problem, jax.random.key(0)), training)
-    advance = advance_of(experiment, problem)
+    scenes, training = experiment.scenario.scenes, experiment.training
+    learner = begin(experiment.new_policy(jax.random.key(0)), training)
+    advance = advance_of(experiment)
     steps = scenes.horizon(scenes.targets_max) * training.episodes
 
     def run() -> float:

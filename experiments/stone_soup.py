@@ -26,7 +26,7 @@ from stonesoup.updater.kalman import KalmanUpdater
 
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.presets import PRESETS
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.simulation.suites import table1
 from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor
 
@@ -121,7 +121,8 @@ def main() -> None:
     options.add_argument("--fine", action="store_true")
     given = options.parse_args()
     problem = PRESETS["best"].scenario.problem()
-    policies = {run.name: load_run(run)[1] for run in given.run} | {"uncertain": heuristic("uncertain", problem, 2.0)}
+    policies = {run.name: load_run(run)[1] for run in given.run}
+    policies["uncertain"] = heuristic_policy("uncertain", problem, 2.0)
     print(f"| method | targets | log det at 1/3 | at 2/3 | at the end | ever seen | ms per decision |\n{'|---' * 7}|")
     for n in given.targets:
         scenes = [scene for scene in table1(problem) if scene.id.startswith(f"unbiased-{n}-")][: given.scenes]

@@ -2,9 +2,11 @@
 
     python experiments/trained_presets.py [PRESET ..]
 
-Each preset takes minutes and replaces an existing one. A policy's folder has its configuration and weights, and
-record.json: seed, versions and duration of the training, and, for a test to compare with, the scores on a few scenes in
-float64.
+    python experiments/trained_presets.py --judge [PRESET ..]
+
+Each preset takes minutes and replaces an existing one. A policy's folder has its configuration and weights, the verdict
+of its training (verdict.json, which --judge alone writes again), and record.json: seed, versions and duration of the
+training, and, for a test to compare with, the scores on a few scenes in float64.
 """
 
 import shutil
@@ -19,6 +21,7 @@ import jax
 import foveate
 from foveate.api import load, train
 from foveate.evaluation.evaluate import Suite, episode_rows, evaluate_traces, prepare
+from foveate.evaluation.verdict import judge_run
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.resolve import TRAINED
 from foveate.io.files import write_json
@@ -49,10 +52,11 @@ def make(preset: str) -> None:
     """Train a preset, save its policy and write its record."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        policy = train(preset, seed=SEED, out=Path(folder) / preset)
+        policy = train(preset, seed=SEED, out=Path(folder) / preset, verdict=False)
     seconds = time.perf_counter() - began
     shutil.rmtree(TRAINED / preset, ignore_errors=True)
     policy.save(TRAINED / preset)
+    judge_run(TRAINED / preset)
     jax.config.update("jax_enable_x64", True)  # for all threads; a context manager covers only this one
     found = scores(*played(preset))
     jax.config.update("jax_enable_x64", False)
@@ -71,11 +75,15 @@ def make(preset: str) -> None:
 
 
 def main() -> None:
-    """Make the presets named on the command line, or all of them."""
-    for preset in sys.argv[1:] or PRESETS:
+    """Make, or judge, the presets named on the command line, or all of them."""
+    given = [argument for argument in sys.argv[1:] if argument != "--judge"]
+    for preset in given or PRESETS:
         if preset not in PRESETS:
             sys.exit(f"{preset}: presets are {', '.join(PRESETS)}")
-        make(preset)
+        if "--judge" in sys.argv:
+            print(preset, judge_run(TRAINED / preset), flush=True)
+        else:
+            make(preset)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Shapes and dtypes of every annotation in foveate are checked while the tests run, in float64.
 
-Most of the suite's time is XLA's compilation, which `compile_fast` nearly halves. What one worker or process has
-compiled the others find in a cache of this run.
+Most of the suite's time is XLA's compilation, which `compile_fast` and `compiled_quickly` each nearly halve. What one
+worker or process has compiled the others find in a cache of this run.
 """
 
 import os
@@ -63,6 +63,23 @@ def promotion(request):
     is_core = bool(folders) and folders[0] in CORE and "sb3" not in folders
     with jax.numpy_dtype_promotion("strict" if is_core else "standard"):
         yield
+
+
+RUN_LONGER = {
+    *("endurance", "learning/test_devices.py", "learning/test_killed.py"),
+    *("learning/test_strata.py", "models/detections/test_filter.py", "models/test_missed_detection.py"),
+    "planning/test_shooting.py",
+}
+"""Folders and files whose programs run longer than they compile, or are compared with those of other processes."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled_quickly(request):
+    """What runs so little need not run fast: XLA leaves most optimizations out, and compiles in half the time."""
+    path, before = request.path.relative_to(TESTS), jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", not RUN_LONGER & {path.parts[0], path.as_posix()})
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
 
 
 def pytest_addoption(parser):

@@ -9,7 +9,8 @@ from helpers.contract import faults
 ROOT = Path(__file__).parents[1]
 SAMPLES = {
     "scenes": ROOT / "tests" / "formats" / "scenes.json",
-    "evaluate": ROOT / "tests" / "formats" / "evaluation.json",
+    "evaluate": ROOT / "tests" / "formats" / "evaluation-2.json",
+    "verdict": ROOT / "tests" / "formats" / "verdict.json",
     "replay": ROOT / "tests" / "formats" / "replay.json",
     "bench": ROOT / "benchmarks" / "baseline.json",
 }
@@ -54,6 +55,10 @@ REMOVED = object()
         ("evaluate", ("rows", 0, "protocol"), "soft", "rows[0]: protocol = 'soft'"),
         ("evaluate", ("rows", 0, "score"), None, "rows[0]: score = None of 2 targets"),
         ("evaluate", ("rows", 1, "score"), 3.0, "rows[1]: score = 3.0 of 0 targets"),
+        ("evaluate", ("rows", 0, "objective"), REMOVED, "rows[0]: no 'objective'"),
+        ("verdict", ("objective",), "speed", "file: objective = 'speed'"),
+        ("verdict", ("rows", 1, "se"), -0.1, "rows[1]: se = -0.1"),
+        ("verdict", ("rows", 0, "method"), "still", "rows[0]: expected the policy"),
         ("evaluate", ("summary", 0, "motion"), "still", "summary[0]: motion = 'still'"),
         ("evaluate", ("summary", 0, "ci95"), [2.0, 1.0], "summary[0]: ci95 = [2.0, 1.0]"),
         ("replay", ("rows", 0, "lost"), 0.5, "rows[0]: lost = 0.5"),

@@ -13,13 +13,13 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "foveate"
 
 ORDER = [
-    *("types", "errors", "names"),
+    *("types", "errors", "names", "registration"),
     *("io", "geometry"),
     *("models", "scenario", "simulation"),
     *("policies", "planning"),
     *("experiment", "learning"),
     *("evaluation", "recordings", "plotting", "study"),
-    *("deploy", "bench", "api", "gym", "stonesoup", "cli", "__main__"),
+    *("deploy", "bench", "api", "gym", "stonesoup", "ros", "cli", "__main__"),
 ]
 """Folders and root modules of the package, from the ground up, a line a storey."""
 ROOT_MODULES = 8
@@ -35,38 +35,63 @@ TESTED_ELSEWHERE = {
         f"cli.run.{name}": "cli/test_cli.py"
         for name in ("evaluate", "export", "fit", "plan", "render", "replay", "train")
     },
+    **{f"cli.{name}": "cli/test_config.py" for name in ("arguments", "help", "presets", "run.config", "run.presets")},
+    "cli.logs": "io/test_progress.py",
     **dict.fromkeys(("cli.run.bench", "bench.report"), "cli/test_bench.py"),
     "cli.run.reproduce": "cli/test_reproduce.py",
     **dict.fromkeys(("cli.view", "cli.run.view"), "plotting/live/test_server.py"),
-    **dict.fromkeys(("deploy.onnx.graph", "deploy.onnx.networks"), "deploy/onnx/test_export.py"),
+    **{
+        f"deploy.onnx.{name}": "deploy/onnx/test_export.py"
+        for name in ("arithmetic", "decision", "graph", "indexing", "shapes", "trace")
+    },
     **dict.fromkeys(("deploy.belief", "deploy.policy"), "test_api.py"),
+    **dict.fromkeys(("deploy.tracks", "deploy.history", "deploy.observing"), "deploy/test_tracker.py"),
+    "deploy.kalman_polar": "simulation/test_polar.py",  # beside the filter that it equals
     **dict.fromkeys(("gym.render", "gym.task", "simulation.batch"), "gym/test_envs.py"),
     "stonesoup.parts": "stonesoup/test_manager.py",
     # The modules of a training.
-    **{f"learning.{name}": "learning/test_loop.py" for name in ("learner", "train", "tensorboard", "validation")},
+    **{f"learning.{name}": "learning/test_loop.py" for name in ("learner", "train", "validation")},
     "learning.run_files": "learning/test_killed.py",
+    "learning.critic": "learning/test_actor_critic.py",
     **dict.fromkeys(("learning.sb3.network", "learning.sb3.vec_env"), "learning/sb3/test_ppo.py"),
     # Implementations of one protocol, tested alike.
     **dict.fromkeys(("geometry.fov_planar", "geometry.fov_spatial"), "geometry/test_fov.py"),
     **dict.fromkeys(("geometry.series", "geometry.lie_planar"), "geometry/test_lie.py"),
     **dict.fromkeys(("models.problem", "simulation.records", "simulation.step"), "simulation/test_rollout.py"),
+    "simulation.draft": "simulation/test_rollout.py",
+    "models.detections.records": "models/detections/test_filter.py",
     "models.target": "scenario/test_target.py",
+    "models.obstacles": "geometry/test_sight.py",
+    **{
+        f"scenario.{name}": "scenario/test_obstacles.py"
+        for name in ("obstacle_grids", "random_maps", "random_obstacles")
+    },
+    "models.robot": "policies/test_tokens.py",
     **dict.fromkeys(("experiment.experiment", "experiment.learners"), "experiment/test_presets.py"),
     "experiment.run_folder": "experiment/test_checkpoint.py",
-    "experiment.resolve": "test_package.py",
     "evaluation.report": "evaluation/test_evaluate.py",
+    "evaluation.summary_table": "cli/test_tables.py",
     "evaluation.planners": "planning/test_receding.py",
+    "planning.named": "policies/test_heuristics.py",
     "evaluation.plan": "cli/test_cli.py",
-    **dict.fromkeys(("io.progress", "io.provenance"), "test_api.py"),
-    "io.jax_settings": "cli/test_cli.py",
+    "io.provenance": "test_api.py",
+    "io.figures": "plotting/test_figures.py",
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
-    "recordings.fit": "test_api.py",
-    "recordings.velocities": "recordings/test_motion.py",
-    "recordings.compare": "recordings/test_replay.py",
-    **{f"plotting.{name}": "plotting/test_figures.py" for name in ("animation", "episode_data", "scene")},
+    **dict.fromkeys(("recordings.velocities", "recordings.moments"), "recordings/test_motion.py"),
+    **dict.fromkeys(("recordings.definitions", "recordings.unpack"), "recordings/test_bags.py"),
+    "ros.records": "ros/test_core.py",
+    **{f"recordings.{name}": "recordings/test_tables.py" for name in ("clock", "fixes", "layout", "rows")},
+    "recordings.unused": "recordings/test_outliers.py",
+    **dict.fromkeys(("recordings.compare", "recordings.starts"), "recordings/test_replay.py"),
+    **dict.fromkeys(("recordings.choice", "recordings.methods"), "recordings/test_split.py"),
+    "recordings.replay_table": "cli/test_tables.py",
+    **{
+        f"plotting.{name}": "plotting/test_figures.py"
+        for name in ("animation", "episode_data", "replay_figure", "scene")
+    },
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
     **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},
-    **dict.fromkeys(("study.methods", "study.study"), "study/test_run.py"),
+    **dict.fromkeys(("study.jobs", "study.methods", "study.study"), "study/test_run.py"),
     "io.tables": "study/test_tables.py",
     "study.publish": "cli/test_reproduce.py",
 }

@@ -4,7 +4,7 @@ from typing import get_args
 
 from foveate import names
 from foveate.experiment import presets
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.simulation.records import PROTOCOLS, Policy
 
 
@@ -17,4 +17,4 @@ def test_tables_have_these_keys():
 
 def test_every_heuristic_can_be_made():
     problem = presets.PRESETS["paper"].scenario.problem()
-    assert all(isinstance(heuristic(name, problem, 2.0), Policy) for name in names.HEURISTICS)
+    assert all(isinstance(heuristic_policy(name, problem, 2.0), Policy) for name in names.HEURISTICS)

@@ -11,16 +11,19 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 
 import foveate
 from foveate.cli.main import main
-from foveate.experiment.checkpoint import save_tree, write_config
+from foveate.evaluation.verdict import verdict_of, write_verdict
+from foveate.experiment.checkpoint import load_run, save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import BEST
 from foveate.io.records import from_table
 from foveate.recordings.formats import load_recording
 from foveate.scenario.scenes import read_scenes
+from foveate.simulation.suites import table1
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(path for folder in (".", "docs", "docs/api") for path in (ROOT / folder).glob("*.md"))
@@ -31,12 +34,25 @@ EPOCHS, EPISODES = 1, 8
 """Size of a training on a page."""
 RUN_ELSEWHERE = {
     "deploy.md": "tests/deploy/onnx/test_export.py",
+    "detections.md": "tests/deploy/test_detections.py",
     "gymnasium.md": "tests/gym/test_envs.py",
+    "pictures.md": "tests/plotting/test_simulated.py",
     "stonesoup.md": "tests/stonesoup/test_manager.py",
+    "training.md": "tests/test_api.py",
     "README.md": "tests/test_docs.py",
 }
 """Python of these pages is run by the test of what it is about."""
-RUN_HERE = {"tutorial.md", "space.md", "comparison.md", "api.md"}
+RUN_HERE = {
+    "tutorial.md",
+    "space.md",
+    "any.md",
+    "cameras.md",
+    "sensors.md",
+    "comparison.md",
+    "api.md",
+    "ros.md",
+    "obstacles.md",
+}
 QUOTED = {"equations.md"}
 """Lines of the code itself, which tests/test_docs.py finds there."""
 
@@ -47,10 +63,10 @@ def blocks(page: Path, *kinds: str) -> list[str]:
 
 
 def commands(page: Path) -> Iterator[list[str]]:
-    """Commands of the shell blocks of a page, one a line, without comments."""
+    """Commands of the shell blocks of a page, one a line, without comments and where their output goes."""
     for block in blocks(page, "sh"):
         for line in block.splitlines():
-            if words := shlex.split(line, comments=True):
+            if words := shlex.split(line.partition(" > ")[0], comments=True):
                 yield words
 
 
@@ -74,6 +90,8 @@ def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]):
                 assert asked.pop()
             case ["make", target, *_]:
                 assert re.search(rf"^{target}:", makefile, re.MULTILINE), words
+            case ["python", "-m", "pip", "install", place]:
+                assert set(place.removeprefix(".[").removesuffix("]").split(",")) <= set(extras), words
             case ["python", file, *_]:
                 assert (ROOT / file).is_file(), words
             case ["source", ".venv/bin/activate"]:
@@ -88,7 +106,7 @@ def test_every_command_of_a_page_is_understood(page: Path, asked: list[Any]):
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
 def test_every_file_of_a_page_is_read(page: Path, tmp_path: Path):
     """Scenes, recordings and configurations; and a block in a language that no test here takes would be missed."""
-    known = {"sh", "python", "toml", "json", "csv", "text"}
+    known = {"sh", "python", "toml", "json", "csv", "text", "bibtex"}
     assert {kind for kind, _ in FENCE.findall(page.read_text(encoding="utf-8"))} <= known
     scenario = PRESETS["paper"].scenario
     for text in blocks(page, "json"):
@@ -113,27 +131,34 @@ def fresh(folder: Path, preset: str) -> None:
     experiment = PRESETS[preset]
     (folder / BEST).parent.mkdir(parents=True)
     write_config(folder, experiment)
-    policy = experiment.policy.policy(experiment.scenario.problem(), jax.random.key(0))
+    policy = experiment.new_policy(jax.random.key(0))
     save_tree(folder / BEST, policy, experiment, "policy", {})
 
 
+def judged(run: Path, quiet: bool) -> foveate.Verdict:
+    """A verdict without the seconds that it takes."""
+    scores = {"policy": np.array([2.0, 3.0]), "uncertain": np.array([1.0, 2.0])}
+    verdict = verdict_of(load_run(run)[0], scores, {})
+    write_verdict(run, verdict)
+    return verdict
+
+
 @pytest.fixture
-def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A reader's folder, with the examples, small sizes, and initial weights for those of presets (see `fresh`)."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    train, table1, own = foveate.train, foveate.experiment.resolve.table1, foveate.experiment.resolve.own_suite
+    train, own = foveate.train, foveate.experiment.resolve.own_suite
     monkeypatch.setattr(
         "foveate.api.train",
         lambda experiment, **options: train(experiment, **{**options, "epochs": EPOCHS, "episodes": EPISODES}),
     )
+    monkeypatch.setattr("foveate.api.judge_run", judged)
     monkeypatch.setattr("foveate.experiment.resolve.table1", lambda *given: table1(*given)[:2])
     monkeypatch.setattr("foveate.experiment.resolve.own_suite", lambda *given: own(*given)[:2])
     monkeypatch.setattr("foveate.experiment.learners.ValidationSettings.held_out", 4)
     monkeypatch.setattr("foveate.experiment.resolve.TRAINED", tmp_path / "trained")
     monkeypatch.chdir(tmp_path)
-    jax.config.update("jax_disable_most_optimizations", True)  # what runs so little need not run fast
-    yield tmp_path
-    jax.config.update("jax_disable_most_optimizations", False)
+    return tmp_path
 
 
 def run_python(page: Path) -> dict[str, Any]:
@@ -156,6 +181,7 @@ def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     assert np.abs(left["w"]) <= 1.2
     assert "drive at" in said
     assert "uncertain" in said
+    assert "The policy leads every heuristic clearly" in said
     config = tomllib.loads((reader / "runs" / "mine" / "config.toml").read_text(encoding="utf-8"))
     assert config["scenario"]["view"] == {"shape": "sector", "depth_m": 5.0, "angle_deg": 70.0}
     (words,) = [words for words in commands(page) if words[:2] == ["foveate", "export"]]
@@ -178,21 +204,79 @@ def test_the_page_on_space_runs(reader: Path):
 
 
 @pytest.mark.slow
+def test_the_page_on_any_robot_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
+    fresh(reader / "trained" / "any", "any")
+    left = run_python(ROOT / "docs" / "any.md")
+    assert left["policy"].scenario == left["mine"].scenario == left["scenario"]
+    assert "decides for 3 to 8 targets" in capsys.readouterr().out
+    config = tomllib.loads((reader / "runs" / "mine" / "config.toml").read_text(encoding="utf-8"))
+    assert config["policy"]["begin_with"] == "any"
+
+
+@pytest.mark.slow
+def test_the_page_on_cameras_runs(reader: Path):
+    for preset in ("pan", "pan-tilt"):
+        fresh(reader / "trained" / preset, preset)
+    left = run_python(ROOT / "docs" / "cameras.md")
+    assert (left["camera"].axes, left["head"].axes) == (("wz",), ("wy", "wz"))
+    assert np.abs([left["turn_rate"], left["w_y"], left["w_z"]]).max() <= 1.0
+
+
+@pytest.mark.slow
+def test_the_page_on_ros_runs():
+    decision = run_python(ROOT / "docs" / "ros.md")["decision"]
+    assert decision.stopped == ""
+    assert np.abs(decision.twist).tolist() == [0, 0, 0, 0, 0, pytest.approx(np.abs(decision.twist[5]))]
+
+
+@pytest.mark.slow
+def test_the_page_on_obstacles_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("gymnasium", reason="needs the extra gym")
+    fresh(reader / "trained" / "any", "any")
+    left = run_python(ROOT / "docs" / "obstacles.md")
+    assert (reader / "rooms.png").stat().st_size > 10_000
+    assert left["info"]["contacts"] in (0, 1)
+    said = capsys.readouterr().out
+    assert "contacts" in said
+    assert "(16,) (4,)" in said
+
+
+@pytest.mark.slow
 def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     run_python(ROOT / "docs" / "comparison.md")
     assert "NearAndUncertain on table1" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_the_demo_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """One epoch; the table is whole, and the pictures are there."""
-    monkeypatch.chdir(tmp_path)
+def test_the_demo_runs(reader: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """One epoch, and two scenes a cell; the table is whole, and the pictures are there.
+
+    Both policies are in the figure, on the same scenes.
+    """
+    fresh(reader / "trained" / "true-view", "true-view")
+    monkeypatch.setattr(
+        "foveate.experiment.resolve.table1",
+        lambda *given: [scene for scene in table1(*given) if scene.id.endswith(("-00", "-01"))],
+    )
     monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "1")
     runpy.run_path(str(ROOT / "examples" / "demo.py"))["main"](EPOCHS)
     said = capsys.readouterr().out
     assert [line.split()[:2] for line in said.splitlines() if "%" in line] == [
         [motion, targets] for motion in ("unbiased", "biased") for targets in "357"
     ]
-    assert {"table1.json", "trajectories.png", "learning_curve.png", "episode.gif"} <= {
-        path.name for path in (tmp_path / "runs" / "demo").iterdir()
+    assert {"paper.json", "true-view.json", "trajectories.png", "learning_curve.png"} <= {
+        path.name for path in (reader / "runs" / "demo").iterdir()
     }
+
+
+@pytest.mark.slow
+def test_two_methods_side_by_side_are_animated(tmp_path: Path):
+    runpy.run_path(str(ROOT / "examples" / "side_by_side.py"))["main"](str(tmp_path / "two.gif"))
+    with Image.open(tmp_path / "two.gif") as picture:
+        assert picture.size == (800, 460)
+        assert getattr(picture, "n_frames", 1) > 15
+
+
+def test_the_tracker_of_sensors_begins_a_belief_where_the_page_says():
+    left = run_python(ROOT / "docs" / "sensors.md")
+    np.testing.assert_allclose(left["tracker"].mean, [[0.0, 3.0]], atol=0.01)

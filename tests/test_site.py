@@ -3,10 +3,12 @@
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import ModuleType
+from typing import get_type_hints
 
 import commands_page
 import configuration_page
 import gather
+import pages
 import pytest
 
 from foveate.cli.main import COMMANDS
@@ -70,9 +72,23 @@ def test_every_option_of_every_command_stands_on_the_page():
         section = text.partition(f"## foveate {name}\n")[2].partition("\n## ")[0]
         for field in fields(kind):
             option = f"`--{field.name.replace('_', '-')}"
-            positional = "Positional" in str(kind.__annotations__[field.name])
+            positional = "Positional" in str(get_type_hints(kind, include_extras=True)[field.name])
             assert positional or option in section, (name, option)
     assert "| `--port INT` | 8080 | " in text
+
+
+@pytest.mark.parametrize("name", pages.GENERATED)
+def test_committed_pages_are_those_that_their_sources_make(name: str):
+    """Otherwise run `make docs`, or `python docs/generator/pages.py`, and commit what it writes."""
+    assert (ROOT / name).read_text(encoding="utf-8") == pages.generated(name)
+
+
+def test_pages_are_written_with_a_note_to_their_editors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pages, "GENERATED", {"docs/made.md": lambda: "# Made\n\ntext  \nmore\n\n\n"})
+    (tmp_path / "docs").mkdir()
+    pages.write(tmp_path)
+    text = (tmp_path / "docs" / "made.md").read_text(encoding="utf-8")
+    assert text == f"# Made\n\n{pages.NOTE}\n\ntext\nmore\n"
 
 
 PAGE = """\
@@ -99,12 +115,12 @@ def laid_out(root: Path, page: str) -> Path:
 
 
 def test_links_to_code_lead_to_its_line_on_a_page(tmp_path: Path):
-    gather.gather(laid_out(tmp_path / "in", PAGE), tmp_path / "out", {"docs/made.md": "[other](other.md)"})
+    gather.gather(laid_out(tmp_path / "in", PAGE), tmp_path / "out")
     text = (tmp_path / "out" / "docs" / "page.md").read_text(encoding="utf-8")
     assert text == PAGE.replace("../code.py)", "../code.py.md#__codelineno-0-5)")
     assert CODE in (tmp_path / "out" / "code.py.md").read_text(encoding="utf-8")
     found = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")}
-    assert found == {"docs/page.md", "docs/other.md", "docs/made.md", "docs/p.png", "code.py.md", *gather.ASSETS}
+    assert found == {"docs/page.md", "docs/other.md", "docs/p.png", "code.py.md", *gather.ASSETS}
 
 
 @pytest.mark.parametrize("target", ["gone.md", "../gone.py", "../../outside.md"])
@@ -112,7 +128,7 @@ def test_a_broken_link_is_named(tmp_path: Path, target: str):
     (tmp_path / "outside.md").write_text("", encoding="utf-8")
     root = laid_out(tmp_path / "in", f"[this]({target})\n")
     with pytest.raises(ValueError, match=rf"docs/page.md: {target}: expected a file of the repository"):
-        gather.gather(root, tmp_path / "out", {})
+        gather.gather(root, tmp_path / "out")
 
 
 def test_formulas_become_mathml_and_sound_pages_pass(tmp_path: Path):
@@ -171,9 +187,9 @@ def test_the_site_builds(tmp_path: Path):
 
     nav = (GENERATOR / "mkdocs.yml").read_text(encoding="utf-8")
     found = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.md")])
-    pages = [path.relative_to(ROOT).as_posix() for path in found]
-    assert [name for name in [*pages, *build.GENERATED] if f"- {name}\n" not in nav] == [], "not in the navigation"
-    assert build.build(tmp_path / "site") > len(pages)
+    names = [path.relative_to(ROOT).as_posix() for path in found]
+    assert [name for name in names if f"- {name}\n" not in nav] == [], "not in the navigation"
+    assert build.build(tmp_path / "site") > len(names)
     text = (tmp_path / "site" / "docs" / "equations.html").read_text(encoding="utf-8")
     assert text.count("<math") > 100
     assert "arithmatex" not in text

@@ -1,8 +1,9 @@
-"""Build the documentation (`make docs`) from the repository's pages and the generated ones, without network access.
+"""Build the documentation (`make docs`) from the repository's pages, without network access.
 
-The pages are collected in a temporary folder, laid out as in the repository, so that their links stay valid. Zensical
-converts them to HTML and rejects broken links. Formulas become MathML, since no script may be loaded to draw them. The
-result is checked once more, and `site/` is replaced only if everything succeeded.
+The pages made from code are refreshed first (`pages.py`). All pages are collected in a temporary folder, laid out as in
+the repository, so that their links stay valid. Zensical converts them to HTML and rejects broken links. Formulas become
+MathML, since no script may be loaded to draw them. The result is checked once more, and `site/` is replaced only if
+everything succeeded.
 """
 
 import shutil
@@ -11,14 +12,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-import commands_page
-import configuration_page
+import pages
 from finish import finish
 from gather import gather
 
 ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
-GENERATED = {"docs/configuration.md": configuration_page.page, "docs/commands.md": commands_page.page}
 
 
 def build(out: Path) -> int:
@@ -27,19 +26,20 @@ def build(out: Path) -> int:
         work = Path(folder)
         (work / "src").symlink_to(ROOT / "src")
         shutil.copy(HERE / "mkdocs.yml", work)
-        gather(ROOT, work / "pages", {name: make() for name, make in GENERATED.items()})
+        gather(ROOT, work / "pages")
         zensical = Path(sys.executable).parent / "zensical"
         done = subprocess.run([zensical, "build", "--strict"], cwd=work, capture_output=True, text=True)
         if done.returncode:
             raise ValueError(f"zensical rejects the pages:\n{done.stdout}{done.stderr}")
-        pages = finish(work / "site")
+        count = finish(work / "site")
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(work / "site", out)
-    return pages
+    return count
 
 
 if __name__ == "__main__":
     try:
+        pages.write()
         print(f"{build(ROOT / 'site')} pages: open site/index.html; to search them: python -m http.server -d site")
     except ValueError as error:
         sys.exit(f"docs: {error}")

@@ -13,8 +13,14 @@ from foveate.cli.main import COMMANDS, main
 INTRODUCTION = """# Commands
 
 All commands and options, as in `foveate COMMAND --help`. Exit status: 0 success, 1 ran but a check failed, 2 invalid
-input (one line on stderr), 70 a bug of foveate, 130 interrupted. `--debug`, with any command, shows the traceback of an
-error. For a command that takes `RUN|PRESET`, a preset name means its trained policy in the package.
+input (one line on stderr), 70 a bug of foveate, 130 interrupted. For a command that takes `RUN|PRESET`, a
+[preset](presets.md) name means its trained policy in the package.
+
+With any command, `-q` (`--quiet`) prints warnings and results alone, `-v` (`--verbose`) every step with its time, and
+`--debug` the traceback of an error. On a terminal long work shows a bar with the time left; where standard error is a
+file or a pipe, a line at each tenth. Tables fit into the terminal's width; `--wide` adds columns where there are more.
+
+Completion of options in bash: `eval "$(foveate --tyro-print-completion bash)"` (or `zsh`, `tcsh`).
 """
 PANEL = re.compile(r"^ \S.*\n -+\n((?:  .*\n)+)", re.MULTILINE)
 DEFAULT = re.compile(r" \((?:default: ([^()]*)|required)\)$")

@@ -15,10 +15,11 @@ from foveate.io.toml import dumps_toml
 
 INTRODUCTION = """# Configuration
 
-All keys of a run's `config.toml`, which `foveate train --config` reads and `foveate fit` writes. Keys have defaults
-unless marked *required*. An unknown or mistyped key is rejected in one line that names the key, its value and what
-would be right. In Python, [`foveate.Experiment`][foveate.Experiment], [`foveate.Scenario`][foveate.Scenario] and the
-records in them have the same names.
+All keys of a run's `config.toml`, which `foveate train --config` reads and `foveate fit` writes. For one to change,
+write `foveate config PRESET > mine.toml`; to change single keys, `foveate train --set scenario.view.depth_m=5`. Keys
+have defaults unless marked *required*. An unknown or mistyped key is rejected in one line that names the key, its value
+and what would be right. In Python, `foveate.Experiment`, `foveate.Scenario` and the
+[records in them](api/scenarios.md) have the same names.
 
 If a table has several kinds, its first key selects one (`kind`, `shape` or `algorithm`). A matrix is a list of rows.
 Presets are configurations too; the last section shows one.
@@ -109,7 +110,8 @@ def _tag(cls: type) -> str:
 def _section(cls: type) -> str:
     """Format one kind of table: its meaning and its keys."""
     hints, said = get_type_hints(cls), said_of(cls)
-    usual = [f"Default if `{f.name}` is left out." for f in fields(cls) if f.name in TAGS and f.default is not MISSING]
+    optional = [f for f in fields(cls) if f.name in TAGS and f.default is not MISSING and not f.metadata.get("tag")]
+    usual = [f"Default if `{f.name}` is left out." for f in optional]
     rows = [
         f"| `{f.name}` | {_type(hints[f.name])} | {_default(f)} | {unit(f.name)} | {said.get(f.name, '')} |"
         for f in fields(cls)

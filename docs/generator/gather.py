@@ -15,15 +15,13 @@ AS_THEY_ARE = {".png", ".gif", ".svg", ".jpg", ".css", ".html"}
 ASSETS = ("docs/images/logo.svg", "docs/generator/site.css")
 
 
-def gather(root: Path, out: Path, generated: dict[str, str]) -> None:
+def gather(root: Path, out: Path) -> None:
     """Lay out the pages in `out` as in the repository at `root`, with all files that they link to.
 
     Raises ValueError, naming page and target, for a dead link.
     """
     waiting = [path for pattern in PAGES for path in sorted(root.glob(pattern))]
     waiting += [root / asset for asset in ASSETS]
-    texts = {root / name: text for name, text in generated.items()}
-    waiting += texts
     done: set[Path] = set()
     while waiting:
         source = waiting.pop()
@@ -35,8 +33,8 @@ def gather(root: Path, out: Path, generated: dict[str, str]) -> None:
         if source.suffix in AS_THEY_ARE:
             shutil.copy(source, target)
         elif source.suffix == ".md":
-            text = texts.get(source) or source.read_text(encoding="utf-8")
-            waiting += linked(source, text, root, set(texts))
+            text = source.read_text(encoding="utf-8")
+            waiting += linked(source, text, root)
             target.write_text(rewritten(source, text), encoding="utf-8")
         else:
             page_of(target).write_text(code_page(source, source.relative_to(root)), encoding="utf-8")
@@ -47,14 +45,14 @@ def page_of(file: Path) -> Path:
     return file.with_name(f"{file.name}.md")
 
 
-def linked(page: Path, text: str, root: Path, generated: set[Path]) -> Iterator[Path]:
+def linked(page: Path, text: str, root: Path) -> Iterator[Path]:
     """Yield the files of the repository that a page links to."""
     for found in FOUND.finditer(text):
         target = found["target"]
         if target is None or re.match(r"[a-z]+:", target):
             continue
         file = (page.parent / target).resolve()
-        if not (file.is_file() or file in generated) or not file.is_relative_to(root):
+        if not file.is_file() or not file.is_relative_to(root):
             raise ValueError(f"{page.relative_to(root)}: {target}: expected a file of the repository")
         yield file
 

@@ -15,6 +15,8 @@ loaded when it is first used.
 from importlib import import_module
 from typing import Any
 
+from foveate.registration import register_with_gymnasium
+
 __version__ = "0.1.0"
 
 _HOMES = {
@@ -25,9 +27,16 @@ _HOMES = {
     "BallView": "scenario.field_of_view",
     "Belief": "deploy.belief",
     "Benchmark": "study.methods",
+    "BirthSettings": "scenario.detections",
+    "CircleObstacles": "scenario.random_obstacles",
     "ConeView": "scenario.field_of_view",
+    "DetectionSettings": "scenario.detections",
+    "DetectionTracker": "deploy.detections",
     "DifferentialDrive": "scenario.agent",
     "DriftTarget": "scenario.target",
+    "Environment": "simulation.environment",
+    "environment": "experiment.environments",
+    "EnvironmentState": "simulation.environment",
     "Episode": "simulation.records",
     "EpisodeData": "plotting.episode_data",
     "evaluate": "api",
@@ -37,11 +46,15 @@ _HOMES = {
     "Fitted": "recordings.fit",
     "Fixed": "study.methods",
     "FixedWing": "scenario.agent",
+    "ForestObstacles": "scenario.random_obstacles",
     "for_scenario": "experiment.presets",
     "FreeBody": "scenario.agent",
     "FrustumView": "scenario.field_of_view",
-    "heuristic": "policies.heuristics",
+    "Gif": "plotting.simulated",
+    "heuristic": "deploy.untrained",
+    "heuristic_policy": "planning.named",
     "InputError": "errors",
+    "KeepOff": "policies.keep_off",
     "Learned": "study.methods",
     "learning_curve": "plotting.figures",
     "LinearTarget": "scenario.target",
@@ -49,9 +62,12 @@ _HOMES = {
     "load_recording": "recordings.formats",
     "Method": "study.methods",
     "Observation": "simulation.records",
+    "OccupancyObstacles": "scenario.obstacles",
+    "OriginSettings": "scenario.origin",
     "own_suite": "simulation.suites",
     "plan": "api",
     "Planned": "study.methods",
+    "planner": "deploy.untrained",
     "PlanSettings": "planning.shooting",
     "PointerSettings": "policies.pointer",
     "Policy": "simulation.records",
@@ -65,20 +81,27 @@ _HOMES = {
     "Quadrotor": "scenario.agent",
     "read_scenes": "scenario.scenes",
     "Recording": "recordings.recording",
-    "replay_figure": "plotting.figures",
+    "RegionSettings": "scenario.region",
     "replay": "api",
+    "replay_figure": "plotting.replay_figure",
     "ReplayResult": "recordings.compare",
+    "RobotPolicy": "deploy.policy",
     "rollout": "simulation.rollout",
+    "RoomObstacles": "scenario.random_obstacles",
     "Row": "evaluation.evaluate",
     "Scenario": "scenario.scenario",
+    "Scanned": "deploy.detections",
     "Scene": "scenario.scenes",
     "SceneSettings": "scenario.scenes",
     "ScheduleSettings": "scenario.sensor",
     "SectorView": "scenario.field_of_view",
-    "Seen": "deploy.tracker",
+    "Seen": "deploy.tracks",
     "SensorSettings": "scenario.sensor",
+    "ShapeObstacles": "scenario.obstacles",
+    "SimulatedEpisode": "plotting.simulated",
     "StaticTarget": "scenario.target",
     "Steering": "policies.heuristics",
+    "StreetObstacles": "scenario.random_obstacles",
     "Suite": "evaluation.evaluate",
     "suite_data": "plotting.episode_data",
     "Summary": "evaluation.summary",
@@ -91,9 +114,13 @@ _HOMES = {
     "Training": "study.methods",
     "TrainingSettings": "experiment.learners",
     "trajectory_figure": "plotting.figures",
+    "Transition": "simulation.environment",
     "TriangleView": "scenario.field_of_view",
     "use_cores": "learning.devices",
+    "Validation": "experiment.run_folder",
     "VelocityTarget": "scenario.target",
+    "Verdict": "evaluation.verdict",
+    "VerdictRow": "evaluation.verdict",
     "write_scenes": "scenario.scenes",
 }
 """The module of each public name; type checkers read `__init__.pyi`, which says the same."""
@@ -107,3 +134,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return ["__version__", *_HOMES]
+
+
+register_with_gymnasium()

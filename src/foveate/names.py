@@ -5,7 +5,7 @@ Each list is written here alone; `tests/test_names.py` holds that the tables of 
 
 from typing import Literal, get_args
 
-Heuristic = Literal["random", "still", "nearest", "uncertain", "lawnmower"]
+Heuristic = Literal["random", "still", "nearest", "uncertain", "lawnmower", "price", "window", "post"]
 """A policy without training."""
 
 Method = Literal["policy", Heuristic]
@@ -14,7 +14,7 @@ Method = Literal["policy", Heuristic]
 Learner = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 """A training algorithm with its settings."""
 
-Preset = Literal["paper", "best", "true-view", "search", "quadrotor"]
+Preset = Literal["paper", "best", "true-view", "search", "quadrotor", "any", "pan", "pan-tilt"]
 """An experiment of the package, which also ships its trained policy."""
 
 ProtocolName = Literal["surrogate", "true"]
@@ -26,13 +26,21 @@ Objective = Literal["terminal", "mean", "seen"]
 Goal = Literal["seen", "information"]
 """Aim of a fitted experiment: targets in view, or all of them well known."""
 
+Part = Literal["train", "choose", "judge"]
+"""Part of a recording: to train on, to choose the best of several policies on, to judge that one on."""
+
 InitialError = Literal["paper", "consistent"]
 """Error of the initial means: that of a measurement, or as large as the initial belief claims."""
+
+FirstVelocity = Literal["zero", "truth"]
+"""Mean velocity of a new belief: 0, as a tracker begins one, or the true velocity with an error."""
 
 HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
 METHODS: tuple[Method, ...] = get_args(Method)
 LEARNER_NAMES: tuple[Learner, ...] = get_args(Learner)
 PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
+OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
+PARTS: tuple[Part, ...] = get_args(Part)
 
 GATE = 0.9999
 """Default probability of the chi-square gate: it rejects one honest measurement in ten thousand."""

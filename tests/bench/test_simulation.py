@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from foveate.bench import simulation
+from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import PlanSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -35,6 +36,17 @@ def test_steps_of_targets_are_counted(five, clock):
     rollouts, evaluation = clock.results
     assert rollouts.shape == (2, 2, 5)
     assert evaluation.log_det.shape == (len(scenes) * 4, 2, 5)
+
+
+def test_an_evaluation_is_measured_beside_its_bare_simulation(five, clock, monkeypatch):
+    """Both of the same episodes: the rows have the log determinants of the bare trace."""
+    problem = five.scenario.problem()
+    monkeypatch.setattr(simulation, "load", lambda preset: (five, heuristic_policy("nearest", problem, 2.0), {}))
+    (metric,) = simulation.evaluation("mine", 1)
+    assert (metric.key, metric.value, metric.better) == ("evaluate_over_limit", 1.0, "lower")
+    rows, trace = clock.results
+    assert len(rows) == len(own_suite(five.scenario.scenes, problem))
+    np.testing.assert_allclose([row.score for row in rows], trace.log_det[:, -1].mean(axis=-1), rtol=1e-5)
 
 
 @pytest.mark.slow

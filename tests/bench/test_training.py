@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 
 from foveate.bench import training
-from foveate.bench.training import compilation_counts, layer_products, mean_steps, minimum_operations, training_step
+from foveate.bench.operations import per_episode
+from foveate.bench.training import compilation_counts, minimum_operations, training_step
 from foveate.experiment.presets import PRESETS
 
 
 def test_the_limit_counts_the_papers_network_on_real_targets_and_steps():
     """By hand: LI_FC 5-64-32 a target, AP_FC 3-32-32 and Out_FC 64-64-2 a decision; n targets for 3 n steps."""
     paper = PRESETS["paper"]
-    policy = paper.policy.policy(paper.scenario.problem(), jax.random.key(0))
-    assert layer_products(policy) == (5 * 64 + 64 * 32, 3 * 32 + 32 * 32 + 64 * 64 + 64 * 2)
-    steps, target_steps = mean_steps(paper.scenario.scenes)
-    assert steps == np.mean([3 * n for n in range(3, 9)])
-    assert target_steps == np.mean([n * 3 * n for n in range(3, 9)])
-    operations = minimum_operations(policy, paper.scenario.scenes, 60)
-    assert operations == pytest.approx(60 * 6 * (99.5 * 2368 + 16.5 * 5344))
+    problem, scenes = paper.scenario.problem(), paper.scenario.scenes
+    policy = paper.policy.policy(problem, jax.random.key(0))
+    steps, target_steps = (np.mean([each(n) * 3 * n for n in range(3, 9)]) for each in (lambda n: 1, lambda n: n))
+    assert (steps, target_steps) == (scenes.mean_horizon, per_episode(float, scenes)) == (16.5, 99.5)
+    per_target, per_decision = 5 * 64 + 64 * 32, 3 * 32 + 32 * 32 + 64 * 64 + 64 * 2
+    operations = minimum_operations(problem, policy, scenes, 60)
+    assert operations == pytest.approx(60 * 6 * (target_steps * per_target + steps * per_decision))
 
 
 @pytest.mark.slow

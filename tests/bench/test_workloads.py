@@ -14,7 +14,16 @@ BASELINE = Path(__file__).parents[2] / "benchmarks" / "baseline.json"
 @pytest.fixture
 def named(monkeypatch):
     """Every measurement gives one metric of its own name, and its arguments."""
-    names = ("training_step", "simulation", "environments", "jax_decisions", "onnx_decisions", "planning")
+    names = (
+        "training_step",
+        "iterations",
+        "simulation",
+        "evaluation",
+        "environments",
+        "jax_decisions",
+        "onnx_decisions",
+        "planning",
+    )
     for name in (*names, "compilation_counts", "starting", "whole_training"):
 
         def measure(*arguments, name=name):
@@ -30,7 +39,8 @@ def test_every_workload_is_measured_once_with_its_repeats():
         return [metric.key for _, measure in workloads.measurements(sizes, quick) for metric in measure(7)]
 
     quick = [
-        *("training_step-60-7", "training_step-1024-7", "simulation-7", "environments-7"),
+        *("training_step-60-7", "training_step-1024-7", "iterations-7", "simulation-7", "evaluation-7"),
+        "environments-7",
         *("jax_decisions-7", "onnx_decisions-7", "planning-7", "compilation_counts", "starting-7"),
     ]
     assert keys((60, 1024), True) == quick
@@ -40,7 +50,7 @@ def test_every_workload_is_measured_once_with_its_repeats():
 def test_titles_name_the_measurements():
     titles = [title for title, _ in workloads.measurements((60, 1024), quick=False)]
     assert titles[:2] == ["training step, 60 episodes", "training step, 1024 episodes"]
-    assert len(set(titles)) == len(titles) == 10
+    assert len(set(titles)) == len(titles) == 12
 
 
 def test_the_committed_baseline_has_every_training_size():

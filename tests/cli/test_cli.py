@@ -6,15 +6,22 @@ import resource
 import runpy
 import shlex
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.commands import check_contract, failure
 
 import foveate
 from foveate.cli.main import main
+from foveate.evaluation import verdict
+from foveate.evaluation.verdict import verdict_of
+from foveate.experiment.presets import PRESETS
+from foveate.experiment.run_folder import BEST, Outcome
+from foveate.names import HEURISTICS
 
 ROOT = Path(__file__).parents[2]
 FORMATS = ROOT / "tests" / "formats"
@@ -41,7 +48,8 @@ def of_the_page(command: str, places: dict[str, Path]) -> list[str]:
     """That command as docs/recordings.md has it, with the files in their places here, for 30 s in place of hours."""
     lines = re.findall(rf"^foveate ({command} .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     instead = {name: str(place) for name, place in places.items()} | {"600": "20"}
-    return [instead.get(word, word) for word in shlex.split(lines[0])]
+    (line,) = [line for line in lines if any(name in line.split() for name in places)][:1]
+    return [instead.get(word, word) for word in shlex.split(line)]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +58,10 @@ def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     places = {"walkers.csv": recording, "walkers.toml": folder / "scenario.toml", "runs/walkers": folder / "run"}
     assert main(of_the_page("fit", places)) == 0
-    assert main([*of_the_page("train", places), "--epochs", "2", "--episodes", "8"]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(verdict, "EPISODES", 8)
+        patch.setattr(verdict, "planned_scores", lambda *_: "it takes too long for a test")
+        assert main([*of_the_page("train", places), "--epochs", "2", "--episodes", "8"]) == 0
     return folder / "run"
 
 
@@ -70,6 +81,7 @@ def test_help_needs_no_jax_and_names_every_command():
 
 def test_the_package_runs_as_a_module(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.setattr(sys, "argv", ["foveate", "--version"])
+    monkeypatch.delitem(sys.modules, "foveate.__main__", raising=False)  # another test may have imported every module
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("foveate", run_name="__main__")
     assert ended.value.code == 0
@@ -136,10 +148,59 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
 @pytest.mark.slow
 def test_run_folder_holds_its_documented_files(run: Path):
     names = {path.name for path in run.iterdir()}
-    assert {"config.toml", "metrics.jsonl", "checkpoint"} <= names
+    assert {"config.toml", "metrics.jsonl", "checkpoint", "verdict.json"} <= names
+    check_contract("verdict", run / "verdict.json")
+    verdict = json.loads((run / "verdict.json").read_text())
+    assert verdict["objective"] == "seen"
+    assert {row["method"] for row in verdict["rows"]} >= {"policy", *HEURISTICS}
     assert any(name.startswith("events.out.tfevents") for name in names)
     check = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
     assert check["epoch"] == 2
+
+
+def trained_at_once(experiment, out, seed, resume, report) -> Outcome:
+    """A training that only leaves a policy."""
+    (out / BEST).parent.mkdir(parents=True)
+    (out / BEST).write_text("weights")
+    return Outcome(epochs=1, best_epoch=1, best_score=0.5, rollbacks=0, stopped="")
+
+
+@pytest.mark.parametrize(
+    ("lead", "said"),
+    [
+        (1.0, ["The policy leads every heuristic clearly"]),
+        (-1.0, ["no clear lead (2 standard errors) over: still.", "To continue:", "--epochs 2000", "--refine 15"]),
+    ],
+)
+def test_a_training_ends_with_its_verdict(
+    lead: float, said: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """A table and a sentence; where a heuristic is as good, how to continue. --no-verdict ends without."""
+    policy = np.array([1.0, 2.0, 4.0])
+    scores = {"policy": policy, "still": policy - lead}
+    monkeypatch.setattr("foveate.cli.run.train.train", trained_at_once)
+    monkeypatch.setattr("foveate.cli.run.train.judge_run", lambda run: verdict_of(PRESETS["paper"], scores, {}))
+    assert main(["train", "--out", str(tmp_path / "a")]) == 0
+    printed = capsys.readouterr().out
+    assert "policy leads by" in printed
+    assert all(words in printed for words in said)
+    assert ("To continue" in printed) == (lead < 0)
+    assert main(["train", "--out", str(tmp_path / "b"), "--no-verdict"]) == 0
+    assert "policy leads by" not in capsys.readouterr().out
+
+
+def test_an_interrupted_verdict_leaves_the_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def interrupted(run):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("foveate.cli.run.train.train", trained_at_once)
+    monkeypatch.setattr("foveate.cli.run.train.judge_run", interrupted)
+    assert main(["train", "--out", str(tmp_path / "a")]) == 130
+    assert f"the training is complete; the verdict follows with  foveate train --resume {tmp_path / 'a'}" in (
+        capsys.readouterr().err
+    )
 
 
 @pytest.mark.slow
@@ -278,7 +339,11 @@ def test_a_recording_in_space_is_fitted_trained_and_replayed(tmp_path: Path, cap
     text = text.replace("[64, 64, 64]", "[8, 4]").replace("[64, 64]", "[4]").replace("[64]", "[4]")
     text = text.replace("held_out = 240", "held_out = 2").replace("steps = 40", "steps = 3")
     config.write_text(text)  # people are to edit it: nothing seals it
-    assert main(["train", "--config", str(config), "--epochs", "1", "--episodes", "8", "--out", str(run)]) == 0
+    assert (
+        main(["train", "--config", str(config), "--epochs", "1", "--episodes", "8", "--out", str(run), "--no-verdict"])
+        == 0
+    )
+    assert not (run / "verdict.json").exists()
     arguments = ["--method", "policy", "--protocol", "true", "--json", str(tmp_path / "out.json")]
     assert main(["evaluate", str(run), *arguments]) == 0
     check_contract("evaluate", tmp_path / "out.json")
@@ -312,8 +377,14 @@ def test_ppo_trains_a_run_that_evaluates(
     small = "held_out = 4\nenvironments = 4\nrollout_steps = 8\nbatch = 16\npasses = 1\n"
     config.write_text(f'[training]\nalgorithm = "ppo"\n{small}')
     train = ("train", "--config", str(config))
+    monkeypatch.setattr(verdict, "EPISODES", 4)
+    monkeypatch.setattr(verdict, "HEURISTICS", ("still", "nearest"))
+    monkeypatch.setattr(verdict, "planned_scores", lambda *_: "it takes too long for a test")
     assert main([*train, "--steps", "50", "--out", str(run)]) == 0
-    assert "best of 2 iterations" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "best of 2 iterations" in said
+    assert "No planner: it takes too long for a test." in said
+    check_contract("verdict", run / "verdict.json")
     check = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
     assert check["env_steps"] == 64
     assert any(path.name.startswith("events.out.tfevents") for path in run.iterdir())
@@ -343,3 +414,40 @@ def test_a_damaged_checkpoint_is_named(stored: Path, tmp_path: Path, capsys: pyt
     best = copy / "checkpoint" / "best.npz"
     best.write_bytes(best.read_bytes()[:-100])
     assert "best.npz" in failure(capsys, "evaluate", str(copy))
+
+
+def test_fit_reads_tables_of_other_tools_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Two ships in degrees; an id that is switched, and what is refused in one line."""
+
+    def row(name: str, k: int, north: int) -> str:
+        latitude = 47.6 + 0.0009 * k * north + 0.1 * (name == "B")
+        return f"{name},2026-03-29T00:{k // 3:02d}:{20 * (k % 3):02d}Z,{latitude},-122.34"
+
+    lines = [row(name, k, north) for k in range(60) for name, north in (("A", 1), ("B", 0 if k < 30 else -1))]
+    ships, out, report = tmp_path / "ships.csv", tmp_path / "ships.toml", tmp_path / "ships.html"
+    ships.write_text("MMSI,BaseDateTime,LAT,LON\n" + "\n".join(lines) + "\n")
+    columns = "time=BaseDateTime,id=MMSI,lat=LAT,lon=LON"
+    assert f"--columns {columns}" in failure(capsys, "fit", str(ships), "--out", str(out))
+    options = ["--columns", columns, "--tau", "20", "--view-depth", "800", "--sensor-std-m", "10"]
+    assert main(["fit", str(ships), *options, "--out", str(out), "--report", str(report)]) == 0
+    said = capsys.readouterr().out
+    assert "positions are metres from latitude 47.6" in said
+    assert "95th percentile 5.00 m/s" in said  # 0.0009 degrees, 100 m in 20 s
+    assert "latitude_deg = 47.6" in out.read_text()
+    assert "<img" in report.read_text()
+    wrong = ["fit", str(ships), "--columns", "time=1", "--out", str(tmp_path / "other.toml")]
+    assert "--columns" in failure(capsys, *wrong)
+
+
+def test_a_port_in_use_and_a_missing_ffmpeg_are_said_before_anything_is_imported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+):
+    monkeypatch.setattr("foveate.cli.main.import_module", lambda name: pytest.fail(f"{name} was imported"))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert f"--port {port}: is in use" in failure(capsys, "view", "paper", "--port", port)
+    monkeypatch.setattr("foveate.cli.common.shutil.which", lambda name: None)
+    monkeypatch.setattr("foveate.cli.common.find_spec", lambda name: None)
+    assert "ffmpeg is missing" in failure(capsys, "render", "paper", "--out", tmp_path / "a.mp4")

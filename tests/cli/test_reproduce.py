@@ -11,10 +11,11 @@ from helpers.commands import check_contract, failure
 from foveate.cli.main import main
 from foveate.evaluation import oracle
 from foveate.experiment.presets import PRESETS
+from foveate.names import HEURISTICS
+from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.heuristics import heuristic
-from foveate.simulation.suites import suite
+from foveate.simulation.suites import Cell, suite
 from foveate.study import publish as publication
 from foveate.study import study
 from foveate.study.methods import Fixed, Learned, Training
@@ -34,11 +35,10 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Two scenes a cell, a training of two epochs, no omniscience: what is nearest is the best there is."""
 
     def scenes(problem, seed=2023):
-        cells = ((3, False), (3, True))
-        return [s for n, biased in cells for s in suite(TINY.scenario.scenes, problem, seed, n, 2, biased)]
+        return suite(TINY.scenario.scenes, problem, seed, [Cell(3, False), Cell(3, True)], 2)
 
     def nearest(experiment):
-        return heuristic("nearest", experiment.scenario.problem(), 2.0)
+        return heuristic_policy("nearest", experiment.scenario.problem(), 2.0)
 
     omniscient = Fixed(name="omniscient", family="omniscient", make=nearest)
     methods = (omniscient, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
@@ -81,7 +81,7 @@ def test_reproduce_for_the_true_view(
     """Both initial errors, the true protocol alone, a scenario that differs; the contract holds."""
     omniscient, learned = study.paper_methods(study.QUICK)
     uncertain = Fixed(
-        name="uncertain", make=lambda experiment: heuristic("uncertain", experiment.scenario.problem(), 2.0)
+        name="uncertain", make=lambda experiment: heuristic_policy("uncertain", experiment.scenario.problem(), 2.0)
     )
     methods = (omniscient, replace(learned, name=study.TRUE_VIEW), uncertain)
     monkeypatch.setattr(study, "true_view_methods", lambda budget: methods)
@@ -118,7 +118,7 @@ def _check_moving_pictures(out: Path, rows: list[dict], monkeypatch: pytest.Monk
     """In a full study the best and the worst scene of each cell are animated."""
     animated: dict[str, str] = {}
     monkeypatch.setattr(
-        publication, "animate", lambda data, path: animated.update({path.name: data.title.split(", ")[1]})
+        publication, "animate", lambda data, path: animated.update({path.name: data.title.split(" on ")[1]})
     )
     asked = replace(study.true_view_study(True), quick=False)
     results = reproduce(asked, out, lambda *_: None, lambda *_: None)
@@ -163,6 +163,64 @@ def test_an_interrupt_prints_how_to_continue(
     monkeypatch.setattr(Fixed, "rows", interrupted)
     assert main(["reproduce", "--quick", "--out", str(tmp_path / "out")]) == 130
     assert "the same command resumes" in " ".join(capsys.readouterr().err.split())
+
+
+WORLD = """[scenario.scenes]
+targets_min = 1
+targets_max = 2
+steps = 3
+[policy]
+agent_widths = [4]
+target_widths = [4]
+out_widths = [4]
+[training]
+epochs = 40
+episodes = 4
+held_out = 4
+check_every = 1
+"""
+
+
+@pytest.mark.slow
+def test_the_suite_of_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Two worlds, one of which no planner can plan in: a page, JSON, and a second run that does nothing again."""
+    folder, out, result = tmp_path / "worlds", tmp_path / "out", tmp_path / "result.json"
+    folder.mkdir()
+    (folder / "plain.toml").write_text(WORLD)
+    (folder / "scheduled.toml").write_text(f"[scenario.schedule]\ntau_s = [1.0, 0.5]\n{WORLD}")
+    arguments = ["reproduce", "--suite", "worlds", "--quick", "--worlds", str(folder), "--out", str(out)]
+    assert main([*arguments, "--json", str(result)]) == 0
+    printed = capsys.readouterr().out
+    assert "QUICK LOOK" in printed
+    assert result.read_bytes() == (out / "worlds.json").read_bytes()
+    data = json.loads(result.read_text())
+    assert (data["quick"], data["training_seeds"]) == (True, [0])
+    plain, scheduled = data["worlds"]
+    assert (plain["world"], scheduled["world"]) == ("plain", "scheduled")
+    assert {lead["method"] for lead in plain["heuristics"]} == set(HEURISTICS)
+    assert plain["planner"]["method"] == "icr-4"
+    assert scheduled["planner"] is None
+    assert "schedule" in scheduled["no_planner"]
+    page = (out / "worlds.md").read_text()
+    assert "| plain |" in page
+    assert "| scheduled |" in page
+    assert (out / "trainings" / "plain-0" / "metrics.jsonl").read_text().count("\n") == 2, "a twentieth of 40 epochs"
+    times = {path: path.stat().st_mtime_ns for path in (out / "units").glob("*.json")}
+    assert len(times) == 2 * 4
+    assert main([*arguments, "--only", "plain"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in (out / "units").glob("*.json")} == times
+    assert [world["world"] for world in json.loads((out / "worlds.json").read_text())["worlds"]] == ["plain"]
+
+
+def test_worlds_that_are_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    suite = ("reproduce", "--suite", "worlds", "--out", str(tmp_path / "out"), "--worlds", str(tmp_path))
+    assert "holds no worlds: expected --worlds FOLDER" in failure(capsys, *suite)
+    (tmp_path / "plain.toml").write_text(WORLD)
+    assert "--only other: expected names of" in failure(capsys, *suite, "--only", "plain", "other")
+    assert "methods are not added to worlds" in failure(capsys, *suite, "--add", f"{OWN}:METHOD")
+    assert "each once" in failure(capsys, *suite, "--seeds", "1", "1")
+    assert "expected --suite worlds" in failure(capsys, "reproduce", "--only", "plain")
+    assert not (tmp_path / "out").exists()
 
 
 def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

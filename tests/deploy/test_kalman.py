@@ -58,9 +58,12 @@ def reference(problem):
         return one_point(problem.prior_information, z, sensor.H, V)
 
     @jax.jit
-    def miss(prediction, pose):
-        def is_inside(points_world):
+    def miss(prediction, pose, before, was_missed):
+        def shows(pose, points_world):
             return problem.sensor.view.contains(space.to_body(pose, points_world))
+
+        def is_inside(points_world):
+            return shows(pose, points_world) & ~(was_missed & shows(before, points_world))
 
         return condition_on_missed_detection(prediction, problem.motion.Z, is_inside)
 
@@ -75,10 +78,11 @@ def test_tracker_equals_the_filter_of_the_simulation(missed_detections):
     predict, update, begin, miss = reference(problem)
     tracker, beliefs, rejections = Tracker(problem, forget_after_s=1e9), {}, Counter()
     happened = Counter()
+    before, missed = jnp.zeros(3), set()
     truth = rng.normal(0, 2, (TARGETS, 2))
     for step in range(STEPS):
         known = {i: rng.normal(0, 0.1, 2) for i in beliefs}
-        tracker.predict(known)
+        tracker.predict(known_inputs=known)
         beliefs = {i: predict(belief, known[i], step) for i, belief in beliefs.items()}
         truth += rng.normal(0, 0.1, truth.shape)
         truth[rng.integers(TARGETS)] += 60.0 * (step % 20 == 10)
@@ -88,7 +92,7 @@ def test_tracker_equals_the_filter_of_the_simulation(missed_detections):
         for i in range(TARGETS):
             if i not in detections:
                 if i in beliefs and missed_detections:
-                    beliefs[i] = miss(beliefs[i], pose)
+                    beliefs[i] = miss(beliefs[i], pose, before, i in missed)
                     happened["missed"] += 1
                 continue
             z = jnp.asarray(detections[i])
@@ -101,6 +105,7 @@ def test_tracker_equals_the_filter_of_the_simulation(missed_detections):
                 beliefs[i], rejections[i] = begin(z, pose, step), 0
             else:
                 happened["rejected"] += 1
+        before, missed = pose, set(beliefs) - set(detections)
         assert set(tracker.ids) == set(beliefs)
         for i, mean, covariance in zip(tracker.ids, tracker.mean, tracker.covariance, strict=True):
             np.testing.assert_allclose(mean, beliefs[i].mean, rtol=1e-9, atol=1e-9)

@@ -16,7 +16,7 @@ def test_a_minute_of_the_loop_stays_within_its_bounds():
     """In a process of its own, as `make soak` does it: here every annotation would be checked 6000 times."""
     command = [sys.executable, "-m", "endurance.soak", "--seconds", "60", "--tabs", "0", "--seed", "1"]
     done = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
-    said = done.stdout.splitlines()
+    said = [line for line in done.stdout.splitlines() if "s of a core" not in line]
     assert said[0].startswith("6000 steps, "), done.stderr
     # A machine that runs other tests at the same time has no p99 to speak of.
     assert [line for line in said if "NOT AS IT SHOULD BE" in line and "p99" not in line] == []

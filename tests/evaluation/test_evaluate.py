@@ -10,7 +10,8 @@ import pytest
 from foveate.evaluation.evaluate import evaluate, evaluate_traces, prepare
 from foveate.evaluation.metrics import chi_square_band
 from foveate.evaluation.summary import read_result, summarise, write_result
-from foveate.policies.heuristics import heuristic
+from foveate.evaluation.summary_table import summary_table
+from foveate.planning.named import heuristic_policy
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
@@ -28,7 +29,7 @@ def rows():
     suite = prepare(PAPER, SceneSettings(), [ALONE, THREE, EMPTY], seed=3, episodes=2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("foveate.evaluation.evaluate.decision_time", lambda *_: 0.125)
-        return suite, evaluate(suite, "still", heuristic("still", PAPER, 2.0), ("surrogate", "true"))
+        return suite, evaluate(suite, "still", heuristic_policy("still", PAPER, 2.0), ("surrogate", "true"))
 
 
 def test_rows(rows, tmp_path):
@@ -72,7 +73,7 @@ def test_detected_targets_are_the_same_under_both_protocols(rows):
         for name in ("seen_fraction", "seen_step_fraction", "longest_unseen_s"):
             assert getattr(soft, name) == getattr(true, name)
     assert any(r.seen_fraction > 0 for r in found)
-    detected = evaluate_traces(suite, heuristic("still", PAPER, 2.0), TRUE).visible
+    detected = evaluate_traces(suite, heuristic_policy("still", PAPER, 2.0), TRUE).visible
     for i, r in enumerate(found[half:]):
         horizon = suite.scenes[i // 2].horizon
         ever = [bool(detected[i, :horizon, j].any()) for j in range(r.targets)]
@@ -94,7 +95,7 @@ def test_scenes_without_targets_stay_out_of_the_summary(rows):
 def always_seen():
     """Targets that are measured at every step, wherever the agent goes: 400 episodes."""
     suite = prepare(EVERYWHERE.problem(), EVERYWHERE.scenes, [THREE], seed=0, episodes=400)
-    return suite, evaluate_traces(suite, heuristic("random", suite.problem, 2.0), TRUE)
+    return suite, evaluate_traces(suite, heuristic_policy("random", suite.problem, 2.0), TRUE)
 
 
 def test_an_honest_filter_has_an_honest_nees(always_seen):
@@ -114,15 +115,28 @@ def test_an_honest_filter_has_an_honest_nees(always_seen):
 def test_every_method_gets_the_same_noise(always_seen):
     """If all targets are seen, beliefs depend on the noise alone: they equal those of an agent that stands still."""
     suite, trace = always_seen
-    other = evaluate_traces(suite, heuristic("still", suite.problem, 2.0), TRUE)
+    other = evaluate_traces(suite, heuristic_policy("still", suite.problem, 2.0), TRUE)
     assert np.abs(other.pose - trace.pose).max() > 1
     np.testing.assert_allclose(other.mean, trace.mean, atol=1e-12)
+
+
+def test_another_objective_than_the_score_has_a_column(rows):
+    cells = [replace(cell, objective=0.25) for cell in summarise(rows[1], 2)]
+    plain = summary_table("Title", cells, "terminal")
+    assert "objective" not in plain.header
+    assert plain.title == "Title"
+    assert summary_table("Title", cells, None) == plain
+    for objective, words in {"mean": "mean log det over the steps", "seen": "share of time in view"}.items():
+        table = summary_table("Title", cells, objective)
+        assert table.note.startswith(f"objective: {words}")
+        assert table.header.index("objective") == table.header.index("score [nat]") - 1
+        assert {row[table.header.index("objective")] for row in table.rows} == {"0.250"}
 
 
 def test_keys_of_a_method_depend_on_seed_scene_and_episode_alone():
     """Contract: all randomness of an episode is drawn from (seed, scene id, episode); also that of `random`."""
     problem, settings = EVERYWHERE.problem(), EVERYWHERE.scenes
-    policy = heuristic("random", problem, 2.0)
+    policy = heuristic_policy("random", problem, 2.0)
     here = evaluate_traces(prepare(problem, settings, [THREE], seed=1), policy, TRUE)
     there = evaluate_traces(prepare(problem, settings, [replace(THREE, id="other"), THREE], seed=1), policy, TRUE)
     np.testing.assert_array_equal(there.mean[1], here.mean[0])

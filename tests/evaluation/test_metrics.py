@@ -51,6 +51,11 @@ def test_chi_square_band_of_a_single_episode_is_a_band():
         np.testing.assert_allclose(high, expected[1], rtol=0.03)
 
 
+def traces(count, *arrays):
+    """The same trace of `count` episodes."""
+    return jax.tree.map(lambda x: np.stack([x] * count), Trace(*map(jnp.asarray, arrays)))
+
+
 def test_measures_by_hand():
     """Two targets, of which the second is never seen; three of five steps count, a third column is padding."""
     scene = Scene(id="s", agent=(0.0,) * 3, targets=((0.0, 0.0),) * 2, drift=((0.0, 0.0),) * 2, horizon=3)
@@ -61,10 +66,13 @@ def test_measures_by_hand():
     mean[3, :2] = [[0.5, 1.0], [3.0, -0.5]]
     truth[3, :2] = [[0.0, 0.0], [3.0, 0.5]]
     log_det = np.full((5, 3), 1e9)
+    log_det[:2, :2] = [[1.0, 0.0], [2.0, 3.0]]
     log_det[2, :2] = [np.log(4), np.log(9)]
-    trace = Trace(*map(jnp.asarray, (np.zeros((6, 3)), np.zeros((5, 2)), mean, information, log_det, visible)),
-                  jnp.ones((6, 3), bool))  # fmt: skip
-    found = measures(replace(Scenario(), tau_s=0.5).problem(), jax.tree.map(np.asarray, trace), truth, scene)
+    # A second episode, of one target for five steps, changes nothing of the first.
+    other = Scene(id="t", agent=(0.0,) * 3, targets=((0.0, 0.0),), drift=((0.0, 0.0),), horizon=5)
+    arrays = (np.zeros((6, 3)), np.zeros((5, 2)), mean, information, log_det, visible, np.ones((6, 3), bool))
+    problem = replace(Scenario(), tau_s=0.5).problem()
+    found, second = measures(problem, traces(2, *arrays), np.stack([truth, truth]), [scene, other])
     entropies = [multivariate_normal(np.zeros(2), np.linalg.inv(information[3, j])).entropy() for j in range(2)]
     expected = {
         "score": (np.log(4) + np.log(9)) / 2,
@@ -79,15 +87,25 @@ def test_measures_by_hand():
         "nees_seen": 2.0,
         "nees_unseen": 9.0,
     }
+    assert found.pop("objective") is None
+    assert found.pop("contacts") is None, "there are no obstacles"
     assert found == pytest.approx(expected, abs=1e-12)
+    over_steps = {"terminal": expected["score"], "mean": (6 + np.log(4) + np.log(9)) / 6, "seen": 1 / 6}
+    for objective, value in over_steps.items():
+        scored = measures(problem, traces(2, *arrays), np.stack([truth, truth]), [scene, other], objective)
+        assert scored[0]["objective"] == pytest.approx(value)
+    assert (second["score"], second["seen_step_fraction"], second["longest_unseen_s"]) == (1e9, 3 / 5, 2 * 0.5)
+    assert second["rmse_m"] == pytest.approx(77 * np.sqrt(2))
+    assert second["rmse_unseen_m"] is None
 
 
 def test_measures_without_targets():
     scene = Scene(id="s", agent=(0.0,) * 3, targets=(), drift=(), horizon=2)
     shapes = ((3, 3), (2, 2), (3, 1, 2), (3, 1, 2, 2), (2, 1))
-    trace = Trace(*map(jnp.zeros, shapes), jnp.zeros((2, 1), bool), jnp.zeros((3, 1), bool))
-    found = measures(Scenario().problem(), jax.tree.map(np.asarray, trace), np.zeros((3, 1, 2)), scene)
-    nothing = dict.fromkeys(("score", "entropy", "rmse_seen_m", "rmse_unseen_m", "nees_seen", "nees_unseen"))
+    arrays = (*map(np.zeros, shapes), np.zeros((2, 1), bool), np.zeros((3, 1), bool))
+    (found,) = measures(Scenario().problem(), traces(1, *arrays), np.zeros((1, 3, 1, 2)), [scene], "mean")
+    names = ("score", "objective", "entropy", "rmse_seen_m", "rmse_unseen_m", "nees_seen", "nees_unseen", "contacts")
+    nothing = dict.fromkeys(names)
     zeros = dict.fromkeys(("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "nees"), 0.0)
     assert found == nothing | zeros
 

@@ -13,8 +13,8 @@ from foveate.evaluation.evaluate import episode_rows, evaluate_traces, prepare
 from foveate.evaluation.oracle import omniscient, omniscient_rows
 from foveate.evaluation.summary import summarise
 from foveate.io.npz import load_arrays, save_arrays
+from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import PAPER, PlanSettings
-from foveate.policies.heuristics import heuristic
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import TRUE
@@ -71,7 +71,7 @@ def test_rows_are_those_of_an_evaluation(suite, plans):
 
 
 def test_a_policy_does_not_beat_the_omniscient(suite, plans):
-    trace = evaluate_traces(suite, heuristic("nearest", PROBLEM, 2.0), TRUE, chunk=4)
+    trace = evaluate_traces(suite, heuristic_policy("nearest", PROBLEM, 2.0), TRUE, chunk=4)
     scores = [row.score for row in episode_rows(suite, "nearest", "true", trace, [0.0] * 4)[:3]]
     assert (plans.score[:3] >= np.array(scores) - 1e-9).all()
     assert (plans.score[:3] > unseen_scores(PROBLEM, [5, 3, 5])).all()

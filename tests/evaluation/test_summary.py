@@ -23,7 +23,7 @@ def test_summary_statistics():
     scenes = [f"s{i}" for i in range(12) for _ in range(3)]
     score, nees, seen = rng.normal(3, 2, 36), rng.chisquare(2, 36), rng.random(36)
     given = [row(*values) for values in zip(scenes, score.tolist(), nees.tolist(), seen.tolist(), strict=True)]
-    given = [replace(one, episode=i % 3) for i, one in enumerate(given)]
+    given = [replace(one, episode=i % 3, objective=2.0 * one.score) for i, one in enumerate(given)]
     (cell,) = summarise(given, state_size=2)
     (twice,) = summarise(given + given, state_size=2)
     assert twice.nees_band == cell.nees_band, "the same noise twice, as for two training seeds, adds no information"
@@ -36,6 +36,8 @@ def test_summary_statistics():
     np.testing.assert_allclose(cell.ci95, [score.mean() - half, score.mean() + half], rtol=1e-10)
     np.testing.assert_allclose(cell.nees_band, np.array(chi2.interval(0.95, 2 * 4 * 36)) / (4 * 36), rtol=2e-3)
     assert cell.episodes == 36
+    assert cell.objective == pytest.approx(2 * score.mean())
+    assert summarise([replace(one, objective=None) for one in given], 2)[0].objective is None
     (single,) = summarise(given[:1], state_size=2)
     assert (single.std, single.ci95) == (0.0, (single.mean, single.mean))
     order = [row_.method for row_ in (replace(given[0], method="b"), replace(given[0], method="a"))]

@@ -9,7 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.experiment.checkpoint import VERSION, load_run, load_tree, policy_shape, save_tree, write_config
+from foveate.experiment.checkpoint import (
+    VERSION,
+    load_run,
+    load_tree,
+    policy_shape,
+    save_tree,
+    stored_facts,
+    write_config,
+)
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.run_folder import BEST
 from foveate.io.npz import load_arrays, save_arrays
@@ -21,10 +29,10 @@ EXPERIMENT = Experiment(policy=AttentionSettings(**WIDTHS))
 
 @pytest.fixture(scope="module")
 def policy():
-    """A network whose weights hold every kind of number: tiny, huge, -0, infinite, not a number."""
+    """A network whose weights hold every kind of number that a weight may be: tiny, huge, -0."""
     rng = np.random.default_rng(0)
     fresh = jax.tree.map(lambda x: jnp.asarray(rng.normal(size=x.shape), x.dtype), policy_shape(EXPERIMENT))
-    odd = jnp.array([5e-324, 1.7e308, -0.0, jnp.inf])
+    odd = jnp.array([5e-324, 3e38, -0.0, -3e38])
     return eqx.tree_at(lambda p: p.agent_layers[1].bias, fresh, odd)
 
 
@@ -110,6 +118,57 @@ def test_a_newer_version(saved, policy):
     header, arrays = load_arrays(saved, "policy", VERSION)
     save_arrays(saved, arrays, {**header, "version": VERSION + 1})
     assert f"version {VERSION + 1}" in rejection(lambda: load_tree(saved, policy, "policy"), saved)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (np.complex64(1), "has the type complex64"),
+        (np.str_("1"), "has the type <U1"),
+        (np.int64(1), "has the type int64"),
+        (np.nan, "is not finite"),
+        (-np.inf, "is not finite"),
+    ],
+)
+def test_weights_are_finite_real_numbers(saved, policy, number, words):
+    header, arrays = load_arrays(saved, "policy", VERSION)
+    name, shape = "agent_layers.1.bias", arrays["agent_layers.1.bias"].shape
+    save_arrays(saved, {**arrays, name: np.full(shape, number)}, header)
+    said = rejection(lambda: load_tree(saved, policy, "policy"), saved)
+    assert words in said
+    assert name in said
+
+
+def test_weights_that_only_float64_holds_are_rejected_in_float32(saved, policy):
+    header, arrays = load_arrays(saved, "policy", VERSION)
+    save_arrays(saved, {**arrays, "agent_layers.1.bias": np.full(4, 1e39)}, header)
+    single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32) if eqx.is_array(x) else x, policy)
+    assert "a number too large for float32" in rejection(lambda: load_tree(saved, single, "policy"), saved)
+    whole = {"count": np.array(2**40)}
+    save_tree(saved, whole, EXPERIMENT, "training", {})
+    narrow = {"count": jnp.zeros((), jnp.int32)}
+    assert "a number too large for int32" in rejection(lambda: load_tree(saved, narrow, "training"), saved)
+
+
+def test_the_state_of_a_training_may_be_infinite_but_not_its_weights(tmp_path):
+    path, infinite = tmp_path / "last.npz", jnp.array(-jnp.inf)
+    tree = {"best": {"policy": {"weight": jnp.ones(2)}}, "best_score": infinite}
+    save_tree(path, tree, EXPERIMENT, "training", {})
+    assert load_tree(path, tree, "training")[0]["best_score"] == infinite
+    save_tree(path, {**tree, "best": {"policy": {"weight": jnp.array([1, jnp.nan])}}}, EXPERIMENT, "training", {})
+    assert "best.policy.weight is not finite" in rejection(lambda: load_tree(path, tree, "training"), path)
+
+
+@pytest.mark.parametrize(("missing", "words"), [("facts", "no facts"), ("experiment", "no experiment")])
+def test_a_header_without_its_parts(saved, policy, missing, words):
+    header, arrays = load_arrays(saved, "policy", VERSION)
+    for value in (None, [], 3):
+        save_arrays(saved, arrays, {**header, missing: value})
+        assert words in rejection(lambda: load_tree(saved, policy, "policy", ["x"]), saved)
+    del header[missing]
+    save_arrays(saved, arrays, header)
+    assert words in rejection(lambda: load_tree(saved, policy, "policy", ["x"]), saved)
+    assert words in rejection(lambda: stored_facts(saved, "policy"), saved)
 
 
 def test_cut_and_damaged_files(saved, policy):

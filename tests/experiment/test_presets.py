@@ -26,7 +26,7 @@ STREET = Experiment(
 def test_a_learner_brings_a_network_that_it_can_train():
     experiment = with_learner(STREET, ACTOR_CRITIC)
     assert experiment.training == replace(ACTOR_CRITIC, objective="seen", select="true", held_out=7)
-    assert experiment.policy == PointerSettings(kind="pointer", length_m=20.0)
+    assert experiment.policy == PointerSettings(kind="pointer")
     assert experiment.scenario == STREET.scenario
     back = with_learner(experiment, TrainingSettings())
     assert back.training == TrainingSettings(objective="seen", select="true", held_out=7)

@@ -164,3 +164,31 @@ def test_float32_keeps_its_precision(name):
     exact = distance(cast(shape, jnp.float64), points.astype(jnp.float64))
     scale = np.maximum(case.size, np.linalg.norm(points, axis=1))
     assert np.max(np.abs(single - exact) / scale) < 6e-7
+
+
+def farthest(shape, directions: np.ndarray, reach: float, count: int) -> np.ndarray:
+    """The largest range of `count` at which each direction is in view, by brute force; 0 where none is."""
+    ranges = np.linspace(0, reach, count + 1)[1:]
+    inside = np.asarray(shape.contains(jnp.asarray(ranges[:, None] * directions[..., None, :])))
+    return np.where(inside, ranges, 0.0).max(axis=-1)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in CASES if not name.startswith(("half", "intersection", "frustum flat"))]
+)
+def test_extent_is_that_of_the_directions_in_view(name):
+    """The depth ahead, and the largest bearing and elevation at which anything is in view."""
+    shape, d = CASES[name].shape, CASES[name].shape.dimension
+    reach = 1.01 * float(shape.depth) if np.isfinite(float(shape.depth)) else 1.01 * float(shape.base.depth)
+    ahead_m, half_width, half_height = (float(size) for size in shape.extent)
+    np.testing.assert_allclose(ahead_m, farthest(shape, np.eye(d)[0], reach, 1000), atol=2e-3 * reach)
+    for half, axis in ((half_width, 1), (half_height, 2))[: d - 1]:
+        if name.startswith("prism") and axis == 2:
+            continue
+        angles = np.linspace(0, np.pi, 181)
+        signed = np.concatenate([angles, -angles])[:, None]
+        directions = np.cos(signed) * np.eye(d)[0] + np.sin(signed) * np.eye(d)[axis]
+        seen = farthest(shape, directions, reach, 400) > 0
+        largest = np.abs(signed[seen]).max(initial=0.0)
+        assert largest <= half + 1e-6
+        assert half - largest < 0.04

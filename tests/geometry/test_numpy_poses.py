@@ -35,6 +35,13 @@ def test_poses_equal_those_of_the_space(name):
         np.testing.assert_allclose(numpy_poses.placed(pose, body), expected, rtol=0, atol=1e-13)
 
 
+def test_rotations_of_quaternions_of_any_length():
+    rotations = Rotation.random(20, random_state=3)
+    for quaternion, expected in zip(rotations.as_quat(scalar_first=True), rotations.as_matrix(), strict=True):
+        for length in (1.0, 0.01, -30.0):
+            np.testing.assert_allclose(numpy_poses.rotation_quaternion(length * quaternion), expected, atol=1e-14)
+
+
 @pytest.mark.parametrize("name", SPACES)
 def test_arc_follows_the_constant_twist(name):
     """T exp(s log(T^-1 T')) at every part of a step."""

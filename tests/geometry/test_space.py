@@ -10,6 +10,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
+from foveate.geometry.lie_planar import wrapped_se2
+from foveate.geometry.numpy_poses import arc
 from foveate.geometry.space import SPACES, Planar, Spatial
 
 NUMBERS = {"planar": [1.0, -2.0, 2.5], "spatial": [1.0, -2.0, 0.5, -0.4, 0.8, 0.2, -0.4]}
@@ -82,6 +84,36 @@ def test_move_is_the_exponential_in_the_body_frame(space):
 
 def test_planar_yaw_counts_turns():
     assert float(Planar().move(jnp.array([0.0, 0.0, 6.0]), jnp.array([0.0, 0.0, 3.0]))[2]) == 9.0
+
+
+@BOTH
+def test_ten_thousand_turns_in_float32_keep_the_heading(space):
+    """Against float64: the yaw keeps its digits, and R stays a rotation."""
+    twist = np.array([0.3, 0.0, 0.5003]) if space.dimension == 2 else np.array([0.3, 0.0, 0.1, 0.4, -0.3, 2.0])
+
+    def after(dtype):
+        def move(pose, _):
+            return space.move(pose, jnp.asarray(twist, dtype)), None
+
+        return jax.jit(lambda start: jax.lax.scan(move, start, length=10_000)[0])(space.identity().astype(dtype))
+
+    R, exact = (np.asarray(space.rotation(after(dtype)), float) for dtype in (jnp.float32, jnp.float64))
+    turned = Rotation.from_rotvec([0, 0, 5003.0]).as_matrix()[:2, :2]
+    if space.dimension == 3:
+        turned = Rotation.from_rotvec(10_000 * twist[3:]).as_matrix()
+    np.testing.assert_allclose(exact, turned, atol=1e-9)
+    np.testing.assert_allclose(R @ R.T, np.eye(len(R)), atol=1e-4)
+    np.testing.assert_allclose(R, turned, atol=3e-3)
+
+
+def test_a_yaw_within_two_turns_stays_to_the_last_bit():
+    yaw = np.random.default_rng(0).uniform(-12.5, 12.5, 1000).astype(np.float32)
+    poses = jnp.asarray(np.stack([0 * yaw, 0 * yaw, yaw], axis=-1))
+    np.testing.assert_array_equal(wrapped_se2(poses)[:, 2], yaw)
+    far = wrapped_se2(jnp.array([1.0, 2.0, 100.0]))
+    np.testing.assert_allclose(far, [1.0, 2.0, 100.0 - 32 * np.pi], atol=1e-12)
+    path = arc(np.array([[0.0, 0.0, 12.5], [0.1, 0.0, 12.7 - 8 * np.pi]]), 4)
+    np.testing.assert_allclose(path[:-1, 2], 12.5 + 0.05 * np.arange(4))
 
 
 @BOTH

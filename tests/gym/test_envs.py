@@ -17,6 +17,8 @@ from gymnasium.vector import AutoresetMode
 import foveate.gym.envs
 from foveate.errors import InputError
 from foveate.gym.task import Task, TaskSettings
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.random_obstacles import CircleObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.target import LinearTarget
@@ -152,6 +154,35 @@ def test_the_horizon_is_terminated_on_demand_and_rewards_sum_to_the_score():
         total += reward
         assert truncated is False
     assert total == pytest.approx(info["score"], abs=1e-5)
+
+
+COMMANDS = ((0.0, -1.0), (0.0, 1.0), (2.0, 0.0))
+STEPPED = Scenario(agent=DifferentialDrive(commands=COMMANDS))
+
+
+def test_discrete_actions_are_the_commands_of_the_agent():
+    """Index i moves as command i, by the unicycle's equation; a box's actions move as the nearest command."""
+    env, box = make(scenario=STEPPED, actions="discrete"), make(scenario=STEPPED)
+    assert env.action_space == gymnasium.spaces.Discrete(3)
+    envs = gymnasium.make_vec(foveate.gym.ID, 3, scenario=STEPPED, actions="discrete")
+    assert envs.action_space == gymnasium.spaces.MultiDiscrete([3, 3, 3])
+    envs.reset(seed=[4, 4, 4])
+    several, rewards, *_ = envs.step(np.arange(3))
+    for i, (v, w) in enumerate(COMMANDS):
+        env.reset(seed=4), box.reset(seed=4)
+        before = np.asarray(env._task.batch.states.predicted.pose[0], float)
+        seen, reward, *_ = env.step(i)
+        after = np.asarray(env._task.batch.states.predicted.pose[0], float)
+        np.testing.assert_allclose(after - before, [v * np.cos(before[2]), v * np.sin(before[2]), w], atol=1e-5)
+        same(box.step(np.array([v / 2.0 - 1.1, 0.9 * w / (np.pi / 3)]))[:2], (seen, reward))
+        same({name: x[i] for name, x in several.items()}, seen)
+        assert rewards[i] == pytest.approx(reward, abs=1e-5)
+    with pytest.raises(InputError, match=r"actions = \[3\]: expected whole numbers from 0 to 2"):
+        env.step(3)
+    with pytest.raises(InputError, match=r"expected \(3,\)"):
+        envs.step(np.zeros((3, 2)))
+    with pytest.raises(InputError, match="expected a scenario whose agent has commands"):
+        make(actions="discrete")
 
 
 def test_pictures():
@@ -309,3 +340,38 @@ def test_the_page_runs(monkeypatch, tmp_path):
     names = {}
     for block in blocks:
         exec(compile(block, str(PAGE), "exec"), names)
+
+
+WALLED = Scenario(
+    scenes=SceneSettings(
+        targets_min=2, targets_max=3, half_side_m=(5.0, 5.0), half_side_per_target_m=0.0, agent_spread=1.0, steps=5
+    ),
+    obstacles=CircleObstacles(density_per_m2=0.15, maps=2, test_maps=0),
+)
+
+
+@pytest.mark.slow
+def test_among_obstacles_environments_tell_ranges_and_contacts():
+    """The same numbers from one environment and from several, and ranges that shrink ahead of a contact."""
+    one, several = make(scenario=WALLED, rays=8), foveate.gym.envs.TrackingVectorEnv(2, WALLED, rays=8)
+    seen, _ = one.reset(seed=5)
+    together, _ = several.reset(seed=5)
+    assert one.observation_space.contains(seen)
+    np.testing.assert_allclose(together["ranges"][0], seen["ranges"])
+    assert set(np.unique(seen["clear"])) <= {0.0, 1.0}
+    touched = 0
+    for _ in range(5):
+        ahead = np.array([1.0, 0.0], np.float32)
+        near = seen["ranges"][0]
+        seen, _, _, _, info = one.step(ahead)
+        together, _, _, _, infos = several.step(np.stack([ahead, ahead]))
+        assert infos["contacts"][0] == info["contacts"]
+        # A step ahead is 4 m, and so is the longest range, twice the depth; a range may be some cells too short.
+        assert info["contacts"] > touched or near * 4.0 > 2.0
+        touched = info["contacts"]
+    flat = make(scenario=WALLED, rays=8, observation="flat")
+    assert flat.reset(seed=5)[0].shape == flat.observation_space.shape
+    with pytest.raises(InputError, match="rays = 8: expected 0, or a scenario with obstacles"):
+        make(scenario="paper", rays=8)
+    with pytest.raises(InputError, match="rays = -1: expected a whole number"):
+        make(scenario=WALLED, rays=-1)

@@ -64,6 +64,7 @@ EVALUATION_ROW = {
     "targets": is_count,
     "score": or_null(is_number),
     "entropy": or_null(is_number),
+    "objective": or_null(is_number),
     "seen_step_fraction": is_share,
     **SEEN,
     **ERRORS,
@@ -89,10 +90,12 @@ REPLAY_ROW = {
     **SEEN,
     **ERRORS,
 }
+VERDICT_ROW = {"method": is_name, "mean": is_number, "se": is_size, "episodes": is_count}
 METRIC = {"key": is_name, "value": is_number, "unit": is_text, "better": one_of("lower", "higher")}
 METRIC_KEYS = (
     *("train_step_over_limit_60", "train_step_over_limit_1024", "train_epoch_s_60", "train_compile_s"),
     *("decision_onnx_us_8", "decision_jax_us_8", "rollout_target_steps_per_s", "env_steps_per_s_1024"),
+    *("actor_critic_over_limit", "actor_critic_env_steps_per_s", "evaluate_over_limit"),
 )
 
 
@@ -161,16 +164,30 @@ def replay_faults(data: dict) -> list[str]:
     return list_faults(data, "rows", rows_of(REPLAY_ROW))
 
 
+def verdict_faults(data: dict) -> list[str]:
+    faults = record_faults("file", data, {"objective": one_of("terminal", "mean", "seen")})
+    faults += list_faults(data, "rows", rows_of(VERDICT_ROW))
+    if not faults and data["rows"][0]["method"] != "policy":
+        return ["rows[0]: expected the policy"]
+    return faults
+
+
 def bench_faults(data: dict) -> list[str]:
     faults = list_faults(data, "metrics", rows_of(METRIC))
     keys = [metric["key"] for metric in data["metrics"]] if not faults else METRIC_KEYS
     return faults + [f"no metric {key!r}" for key in METRIC_KEYS if key not in keys]
 
 
-CHECKS = {"scenes": scenes_faults, "evaluate": evaluation_faults, "replay": replay_faults, "bench": bench_faults}
+CHECKS = {
+    "scenes": scenes_faults,
+    "evaluate": evaluation_faults,
+    "verdict": verdict_faults,
+    "replay": replay_faults,
+    "bench": bench_faults,
+}
 
 
 def faults(kind: str, path: Path) -> list[str]:
-    """One line for each fault of a file of one kind: "scenes", "evaluate", "replay" or "bench"."""
+    """One line for each fault of a file of one kind: "scenes", "evaluate", "verdict", "replay" or "bench"."""
     data = json.loads(path.read_text(encoding="utf-8"))
     return CHECKS[kind](data) if isinstance(data, dict) else ["expected an object"]

@@ -1,14 +1,17 @@
 """Files are written whole or not at all; reading errors are one line that names the file."""
 
+import errno
 import math
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from foveate.errors import InputError
 from foveate.io import files
 from foveate.io.files import read_bytes, read_json, write_atomic, write_json
 
@@ -158,3 +161,48 @@ def test_unreadable_file_is_one_line(tmp_path: Path, name: str, problem: str):
     with pytest.raises(ValueError, match=problem) as caught:
         read_bytes(tmp_path / name, "scenes file")
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("read", [read_bytes, files.read_text])
+def test_a_file_is_read_up_to_its_bound_and_no_further(tmp_path: Path, read: Callable[..., object]):
+    path = tmp_path / "scenes.json"
+    path.write_bytes(b"x" * 3_000_000)
+    assert read(path, "scenes file", 3_000_000)
+    with pytest.raises(ValueError, match=r"scenes\.json: has more than 2999999 bytes; give the name of a scenes file"):
+        read(path, "scenes file", 2_999_999)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has them")
+def test_devices_without_end_and_without_room_are_named():
+    with pytest.raises(ValueError, match="/dev/zero: has more than 5000000 bytes"):
+        read_bytes("/dev/zero", "scenes file", 5_000_000)
+    for write in (lambda: write_atomic("/dev/full", b"x"), lambda: files.append_line(Path("/dev/full"), "x")):
+        with pytest.raises(OSError, match="No space left") as caught:
+            write()
+        assert caught.value.filename == "/dev/full"
+
+
+def test_a_folder_has_one_writer_and_its_lock_ends_with_it(tmp_path: Path):
+    with files.sole_writer(tmp_path), pytest.raises(InputError, match="another process"), files.sole_writer(tmp_path):
+        pass
+    (tmp_path / ".0123456789abcdef.tmp").write_bytes(b"")
+    with files.sole_writer(tmp_path):
+        assert os.listdir(tmp_path) == [files.LOCK]
+
+
+def test_a_file_system_without_locks_is_written_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    fcntl = pytest.importorskip("fcntl")
+
+    def flock(*given: object) -> None:
+        raise OSError(errno.ENOSYS, "no locks")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with files.sole_writer(tmp_path), files.sole_writer(tmp_path):
+        assert set(os.listdir(tmp_path)) <= {files.LOCK}
+
+
+def test_caches_are_where_linux_keeps_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert files.cache_folder("plans") == tmp_path / "foveate" / "plans"
+    assert not (tmp_path / "foveate").exists()

@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -189,9 +190,72 @@ def test_archives_that_unpack_beyond_their_stated_size_are_rejected(tmp_path: Pa
     zeros = io.BytesIO()
     np.save(zeros, np.zeros(100_000))
     path = with_members(tmp_path / "bomb.npz", {"a.npy": zeros.getvalue()}, zipfile.ZIP_DEFLATED)
-    assert "strange member 'a.npy'" in rejection(path)
+    assert "its members are larger than the file" in rejection(path)
+    noise = io.BytesIO()
+    np.save(noise, np.random.default_rng(0).random(20))  # which no compression makes smaller
+    assert "strange member 'a.npy'" in rejection(with_members(path, {"a.npy": noise.getvalue()}, zipfile.ZIP_DEFLATED))
     claim = zeros.getvalue()[:128].replace(b"(100000,)", b"(1<<60,)".replace(b"1<<60", b"9" * 6))
     assert "is cut short or damaged" in rejection(with_members(path, {"a.npy": claim}))
+
+
+def overlapping(path: Path, count: int, size: int) -> Path:
+    """An archive whose entries are all the same bytes, as a bomb has them."""
+    member = io.BytesIO()
+    np.save(member, np.zeros(size // 8))
+    with_members(path, {f"{i:04}.npy": member.getvalue() if i == 0 else b"" for i in range(count)})
+    data = bytearray(path.read_bytes())
+    entry = first = data.index(b"PK\x01\x02")
+    for _ in range(count):
+        data[entry + 16 : entry + 28] = data[first + 16 : first + 28]  # checksum and sizes of the first
+        data[entry + 42 : entry + 46] = data[first + 42 : first + 46]  # where it lies
+        entry = data.index(b"PK\x01\x02", entry + 1) if data.count(b"PK\x01\x02", entry + 1) else entry
+    path.write_bytes(bytes(data))
+    return path
+
+
+def test_members_that_overlap_are_rejected_before_any_is_read(tmp_path: Path):
+    """1,500 entries of one and the same 2 MB would be 3 GB."""
+    path = overlapping(tmp_path / "bomb.npz", 1500, 2_000_000)
+    assert path.stat().st_size < 3_000_000
+    tracemalloc.start()
+    try:
+        assert "its members are larger than the file" in rejection(path)
+        assert tracemalloc.get_traced_memory()[1] < 20 * path.stat().st_size
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_array_that_claims_more_than_it_has_is_never_made(tmp_path: Path):
+    for shape in ((10**12,), (4, 0), (-4,), (-2, -2), (2**63, 2**63)):
+        member = io.BytesIO()
+        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": shape})
+        claim = member.getvalue() + bytes(32)
+        tracemalloc.start()
+        try:
+            assert "is cut short or damaged" in rejection(with_members(tmp_path / "a.npz", {"a.npy": claim}))
+            assert tracemalloc.get_traced_memory()[1] < 3_000_000
+        finally:
+            tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a":' * 990 + "1" + "}" * 990, "lists and objects in one another"),
+        ('{"format": "foveate-policy", "version": 1, "score": NaN}', "NaN is not JSON"),
+        ('{"format": "foveate-policy", "version": 1, "digest": null}', "is damaged"),
+        ('{"format": "foveate-policy", "version": 1, "version": 2}', "'version' is given twice"),
+    ],
+)
+def test_a_header_that_is_not_strict_json_is_rejected(tmp_path: Path, text: str, words: str):
+    np.savez(tmp_path / "odd.npz", header=np.frombuffer(text.encode(), np.uint8))
+    assert words in rejection(tmp_path / "odd.npz")
+
+
+@pytest.mark.parametrize("array", [np.zeros(2, "V8"), np.zeros(2, [("x", float)])])
+def test_arrays_without_numbers_are_rejected(tmp_path: Path, array: np.ndarray):
+    np.savez(tmp_path / "odd.npz", header=np.frombuffer(b"{}", np.uint8), weight=array)
+    assert "an array of type" in rejection(tmp_path / "odd.npz")
 
 
 @pytest.mark.parametrize(

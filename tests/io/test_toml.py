@@ -360,6 +360,38 @@ def test_sealed_file_with_an_old_key_keeps_its_digest(tmp_path: Path):
         load_toml(Renamed, path)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Lighter:
+    REMOVED: ClassVar[tuple[str, ...]] = ("weight", "colour")
+    width: float = 1.0
+
+
+def test_removed_keys_are_ignored_and_not_written(tmp_path: Path):
+    path = tmp_path / "run.toml"
+    path.write_text("width = 3\nweight = [1, 2]\n")
+    assert load_toml(Lighter, path) == Lighter(width=3.0)
+    assert dumps_toml(load_toml(Lighter, path)).split() == ["width", "=", "3.0"]
+    path.write_text("width = 3\nweigth = 4\n")
+    with pytest.raises(InputError, match=r"run\.toml: weigth = 4: unknown key; did you mean width\?"):
+        load_toml(Lighter, path)
+
+
+def test_sealed_file_with_a_removed_key_keeps_its_digest(tmp_path: Path):
+    @dataclass(frozen=True, kw_only=True)
+    class Heavy:
+        width: float = 1.0
+        weight: float = 2.0
+
+    path = tmp_path / "run.toml"
+    save_toml(Heavy(), path)
+    text = path.read_text().replace("foveate-heavy", "foveate-lighter")
+    path.write_text(text)
+    assert load_toml(Lighter, path) == Lighter()
+    path.write_text(text.replace("weight = 2.0", "weight = 3.0"))
+    with pytest.raises(InputError, match="does not fit its digest"):
+        load_toml(Lighter, path)
+
+
 def test_fields_of_types_that_toml_has_not_are_a_mistake_of_ours():
     @dataclass(frozen=True, kw_only=True)
     class Odd:

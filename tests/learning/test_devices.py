@@ -22,8 +22,9 @@ from foveate.experiment.presets import TrainingSettings
 from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS
 from foveate.io.npz import load_arrays
 from foveate.learning import devices
-from foveate.learning.devices import sharded
+from foveate.learning.devices import Share, schedule
 from foveate.learning.loop import train
+from foveate.learning.policy_gradient import shares
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -47,7 +48,7 @@ def started(experiment: Experiment, folder: Path, *options: str, flags: str = ""
     """`foveate train` in a process of its own, in float64 as these tests are."""
     folder.mkdir(exist_ok=True)
     write_config(folder, experiment)
-    command = ["train", "--config", str(folder / CONFIG), "--out", str(folder / "run"), *options]
+    command = ["train", "--config", str(folder / CONFIG), "--out", str(folder / "run"), "--no-verdict", *options]
     places = {"JAX_ENABLE_X64": "1", "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {flags}"}
     process = subprocess.Popen(
         [sys.executable, "-m", "foveate.cli.main", *command],
@@ -105,12 +106,12 @@ from foveate.scenario.scenario import Scenario, SceneSettings
 from foveate.experiment.presets import Experiment, TrainingSettings
 
 crowd = Experiment(
-    scenario=Scenario(scenes=SceneSettings(targets_min=36, targets_max=40, steps=6)),
+    scenario=Scenario(scenes=SceneSettings(targets_min=40, targets_max=40, steps=3)),
     training=TrainingSettings(episodes=32),
 )
 problem = crowd.scenario.problem()
 learner = begin(crowd.policy.policy(problem, jax.random.key(0)), crowd.training)
-policy = advance_of(crowd, problem)(jax.numpy.array(10), learner, jax.random.key(1))[0].policy
+policy = advance_of(crowd)(jax.numpy.array(3), learner, jax.random.key(1))[0].policy
 print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(policy)))).hexdigest())
 """
 
@@ -118,7 +119,7 @@ print(hashlib.md5(b"".join(x.tobytes() for x in jax.tree.leaves(jax.device_get(p
 @pytest.mark.slow
 def test_two_devices_of_this_process_equal_one_bit_for_bit(tmp_path, monkeypatch):
     train(TINY, tmp_path / "two")
-    assert sharded(TINY.training.episodes, 2).devices == 2
+    assert schedule(shares(TINY.training, TINY.scenario.scenes)).devices == 2
     monkeypatch.setattr(jax, "device_count", lambda: 1)
     train(TINY, tmp_path / "one")
     assert (tmp_path / "two" / BEST).read_bytes() == (tmp_path / "one" / BEST).read_bytes()
@@ -142,19 +143,53 @@ def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
     assert one == sixteen != ""
 
 
+def counts(plan):
+    """For each share, how many micro-batches each device has; every one is worked on once."""
+    for parts, lanes in zip(plan.parts, plan.lanes, strict=True):
+        assert sorted(part for own in parts for part in own) == list(range(len(lanes)))
+    return [[len(own) for own in parts] for parts in plan.parts]
+
+
 def test_a_batch_is_sharded_evenly(monkeypatch):
     """On cores by micro-batches of one size, whatever there are of the former; on other devices by these."""
     monkeypatch.setattr(jax, "device_count", lambda: 8)
-    assert sharded(60, 32) == (2, 1, 30)
-    assert sharded(1024, 32) == (8, 4, 32)
+    plan = schedule([Share(60, 32)])
+    assert (plan.devices, plan.sizes, counts(plan)) == (2, (30,), [[1, 1]])
+    plan = schedule([Share(1024, 32)])
+    assert (plan.devices, plan.sizes, counts(plan)) == (8, (32,), [[4] * 8])
     monkeypatch.setattr(jax, "device_count", lambda: 3)
-    assert sharded(1024, 32) == (3, 11, 32)
+    assert counts(schedule([Share(1024, 32)])) == [[11, 11, 10]]
     monkeypatch.setattr(jax, "process_count", lambda: 3)
-    assert sharded(100, 32) == (3, 2, 17)
+    plan = schedule([Share(100, 32)])
+    assert (plan.devices, plan.sizes, counts(plan)) == (3, (17,), [[2, 2, 2]])
     monkeypatch.setattr(jax, "process_count", lambda: 1)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(jax, "device_count", lambda: 8)
-    assert sharded(140_000, 16_384) == (8, 2, 8_750)
+    plan = schedule([Share(140_000, 16_384)])
+    assert (plan.devices, plan.sizes, counts(plan)) == (8, (8_750,), [[2] * 8])
+
+
+def test_shares_of_several_shapes_are_balanced_by_their_cost(monkeypatch):
+    """Lanes, and so sums, are the same on any number of cores; a lane is added up on one device."""
+    some = [Share(40, 64, 108.0), Share(20, 48, 192.0)]
+    monkeypatch.setattr(jax, "device_count", lambda: 2)
+    assert sorted(map(tuple, counts(schedule(some)))) == [(0, 1), (1, 0)]
+    some = [Share(510, 7, 75.0), Share(340, 5, 147.0), Share(174, 4, 192.0)]
+    plans = []
+    for count in (1, 2, 5):
+        monkeypatch.setattr(jax, "device_count", lambda count=count: count)
+        plan = schedule(some)
+        plans.append((plan.sizes, plan.lanes))
+        work, homes = np.zeros(count), [set() for _ in range(plan.lane_count)]
+        for share, size, parts, lanes in zip(some, plan.sizes, plan.parts, plan.lanes, strict=True):
+            for device, own in enumerate(parts):
+                work[device] += len(own) * size * share.cost
+                for part in own:
+                    homes[lanes[part]].add(device)
+        assert work.max() < 1.05 * work.mean()
+        assert plan.devices == count
+        assert [len(home) for home in homes] == [1] * devices.MAX_LANES
+    assert plans[0] == plans[1] == plans[2]
 
 
 def test_a_quota_of_cores_counts(monkeypatch, tmp_path):
@@ -220,6 +255,7 @@ def test_a_device_failure_is_a_lost_process_only_among_several_processes(monkeyp
         run(np.zeros(2))
 
 
+@pytest.mark.slow
 def test_cores_are_devices_by_default():
     """In processes of their own: JAX looks once."""
     code = "from foveate.learning.devices import use_cores; use_cores(); import jax; print(jax.device_count())"

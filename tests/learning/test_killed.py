@@ -29,7 +29,7 @@ from foveate.learning import loop as training
 from foveate.learning.run_files import RunFiles, stored_run
 from foveate.learning.train import train
 
-KILLS = 20
+KILLS = 12
 KINDS = ("write .jsonl", "write .tmp", "fsync", "replace")
 """Operations on the disk. The first kills are at one of each kind, the others at random."""
 
@@ -102,20 +102,15 @@ def mortal(monkeypatch):
 def traced_once():
     """Each call of a trainer traces its programs again, and checking every annotation makes a digest slow."""
     known, now = {}, []
-    begin, jit, held_out = training._begin, training.eqx.filter_jit, training.held_out_episodes
-    advance_of = training.advance_of
+    jit, held_out, advance_of = training.eqx.filter_jit, training.held_out_episodes, training.advance_of
 
-    def begin_noted(problem, policy, settings, key):
-        now[:] = [type(settings).__name__]
-        return begin(problem, policy, settings, key)
-
-    def episodes(*arguments):
+    def episodes(experiment, *arguments):
+        now[:] = [type(experiment.training).__name__]  # the first call of a training
         if now[0] not in known:
-            known[now[0]] = held_out(*arguments)
+            known[now[0]] = held_out(experiment, *arguments)
         return known[now[0]]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "_begin", begin_noted)
         patch.setattr(training, "advance_of", lambda *of: known.setdefault((now[0], "advance"), advance_of(*of)))
         patch.setattr(training.eqx, "filter_jit", lambda f: known.setdefault((now[0], f.__qualname__), jit(f)))
         patch.setattr(training, "held_out_episodes", episodes)
@@ -193,6 +188,33 @@ def test_a_process_that_is_really_killed(alone, tmp_path, monkeypatch):
     same_runs(run, alone)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux has it")
+@pytest.mark.usefixtures("by_keyboard")
+def test_a_process_that_is_interrupted_once_resumes_on_one_core(alone, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
+    config, run = tmp_path / "experiment.toml", tmp_path / "interrupted"
+    config.write_text(dumps_toml(MODEL))
+    process = start(tmp_path, "--config", config, "--seed", 3, "--out", run, slow=True)
+    await_checks(process, run, 3)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=600)[1]
+    assert process.returncode == 130, said
+    assert f"foveate train --resume {run}" in said
+    assert "Traceback" not in said
+    assert 3 <= checks(run) < 20
+    cores = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(cores)})
+        process = start(tmp_path, "--resume", run)
+        said = process.communicate(timeout=600)
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert process.returncode == 0, said
+    same_runs(run, alone)
+
+
 @pytest.fixture
 def by_keyboard():
     """Ctrl-C as on a terminal: a suite that is started in the background ignores it."""
@@ -219,7 +241,7 @@ def test_an_interrupt_saves_and_prints_how_to_resume(alone, tmp_path, monkeypatc
     assert f"foveate train --resume {run}\n" in said
     assert checks(run) == 5
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    assert main(["train", "--resume", str(run)]) == 0
+    assert main(["train", "--resume", str(run), "--no-verdict"]) == 0
     same_runs(run, alone)
 
 
@@ -286,7 +308,7 @@ def test_a_beginning_that_was_killed_is_begun_again(tmp_path):
     (run / METRICS).write_bytes(b"")
     (run / "checkpoint" / ".0123456789abcdef.tmp").write_bytes(b"half")
     require_free(run, MODEL)
-    with pytest.raises(ValueError, match=rf"{run}: holds no training to resume: begin one, with --out {run}"):
+    with pytest.raises(ValueError, match=rf"{run}: holds no training to resume: begin one there"):
         stored_run(run)
     (run / "thesis.tex").write_text("mine")
     with pytest.raises(ValueError, match="exists already"):

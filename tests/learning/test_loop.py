@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 
 import equinox as eqx
 import jax
@@ -10,14 +11,16 @@ import numpy as np
 import pytest
 
 import foveate
-from foveate.experiment.checkpoint import load_run, load_tree
+from foveate.experiment.checkpoint import accepted_digests, load_run, load_tree
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import TrainingSettings
-from foveate.experiment.run_folder import BEST, LAST, METRICS
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, VERDICT
+from foveate.io.toml import read_toml
 from foveate.learning import loop as training
 from foveate.learning.learner import EpochReport
 from foveate.learning.loop import train
 from foveate.learning.policy_gradient import begin
+from foveate.learning.run_files import stored_run
 from foveate.learning.selection import Progress
 from foveate.learning.validation import held_out_episodes, validate
 from foveate.policies.attention import AttentionSettings
@@ -78,9 +81,8 @@ def test_training_improves_the_score_and_reports_it(undisturbed):
     assert facts["epoch"] == outcome.best_epoch
     assert facts["held_out"] == outcome.best_score
     keys = jax.random.split(jax.random.key(3), 4)
-    problem = TINY.scenario.problem()
-    episodes = held_out_episodes(TINY, problem, keys[1])
-    score, _ = eqx.filter_jit(lambda p: validate(TINY, problem, p, episodes, keys[3]))(policy)
+    episodes = held_out_episodes(TINY, keys[1])
+    score, _ = eqx.filter_jit(lambda p: validate(TINY, p, episodes, keys[3]))(policy)
     assert float(score) == outcome.best_score, "the file holds the policy of that score"
     assert list(run.glob("events*")), "TensorBoard reads the run folder"
 
@@ -104,7 +106,7 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     assert (tmp_path / "b" / BEST).read_bytes() == before, "a rejected run folder is left as it was"
     resumed = train(TINY, tmp_path / "b", seed=3, resume=True)
     assert resumed == outcome
-    assert foveate.train(out=tmp_path / "b", resume=True, progress=False).experiment == TINY
+    assert foveate.train(out=tmp_path / "b", resume=True, verdict=False, progress=False).experiment == TINY
     assert (tmp_path / "b" / BEST).read_bytes() == (run / BEST).read_bytes()
     assert same_arrays(run / LAST, tmp_path / "b" / LAST)
     untimed = [
@@ -116,6 +118,31 @@ def test_interrupted_and_resumed_is_undisturbed(undisturbed, tmp_path):
     assert elapsed == sorted(elapsed), "the clock resumes, too"
 
 
+@pytest.mark.slow
+def test_a_finished_run_continues_to_more_epochs(undisturbed, tmp_path):
+    """Its checkpoints stay valid, also where a kill leaves it between the writes; a run is extended twice."""
+    run = shutil.copytree(undisturbed[0], tmp_path / "run")
+    (run / VERDICT).write_text("of the policy before")
+    with pytest.raises(ValueError, match="epochs 40: expected more than the 40 that"):
+        stored_run(run, 40)
+    assert load_run(run)[0] == TINY
+    for total in (50, 60):
+        digest, config = read_toml(Experiment, run / CONFIG)[1], (run / CONFIG).read_bytes()
+        experiment, seed = stored_run(run, total)
+        assert (experiment.training.epochs, seed) == (total, 3)
+        extended = (run / CONFIG).read_bytes()
+        (run / CONFIG).write_bytes(config)
+        assert digest in accepted_digests(run, digest)
+        load_run(run)  # as if killed before the second write
+        (run / CONFIG).write_bytes(extended)
+        load_run(run)
+        outcome = train(experiment, run, seed=seed, resume=True)
+        assert outcome.epochs == total
+        assert load_run(run)[0] == experiment
+    assert [line["epoch"] for line in lines(run)] == [10, 20, 30, 40, 50, 60]
+    assert not (run / VERDICT).exists()
+
+
 def same_arrays(one, other):
     with np.load(one) as a, np.load(other) as b:
         names = set(a.files) - {"header"}
@@ -125,8 +152,8 @@ def same_arrays(one, other):
 def test_a_training_that_explodes_from_the_start(monkeypatch, tmp_path):
     """For real, from weights so large that products overflow: there is no best yet, and nothing may crash."""
 
-    def begin_badly(problem, policy, settings, key):
-        made = begin(policy, settings)
+    def begin_badly(experiment, policy, key):
+        made = begin(policy, experiment.training)
         return eqx.tree_at(lambda m: m.policy, made, jax.tree.map(lambda x: 1e200 * x, policy))
 
     monkeypatch.setattr(training, "_begin", begin_badly)
@@ -154,11 +181,10 @@ class Constant(Policy):
 
 def test_a_policy_at_its_limits_is_seen_as_such():
     """All commands at the limits for a saturated policy, none for one in the middle."""
-    problem = TINY.scenario.problem()
-    episodes = held_out_episodes(TINY, problem, jax.random.key(0))
+    ((_, episodes),) = held_out_episodes(TINY, jax.random.key(0))
     places = (episodes.mean, episodes.truth.state)
     far = eqx.tree_at(lambda e: (e.mean, e.truth.state), episodes, tuple(x + 1e4 for x in places))
-    look = eqx.filter_jit(lambda p: validate(TINY, problem, p, far, jax.random.key(1)))
+    look = eqx.filter_jit(lambda p: validate(TINY, p, [(None, far)], jax.random.key(1)))
     for weight_, share in [(9.0, 1.0), (-9.0, 1.0), (0.1, 0.0)]:
         score, at_limit = look(Constant(jnp.array(weight_)))
         assert float(at_limit) == share
@@ -184,8 +210,8 @@ def stubbed(monkeypatch, script):
 
     validated, keys = [], {}
     monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
-    monkeypatch.setattr(training, "held_out_episodes", lambda experiment, problem, key: keys.update(held_out=key))
-    monkeypatch.setattr(training, "advance_of", lambda experiment, problem: advance)
+    monkeypatch.setattr(training, "held_out_episodes", lambda experiment, key: keys.update(held_out=key))
+    monkeypatch.setattr(training, "advance_of", lambda experiment: advance)
     monkeypatch.setattr(training, "validate", lambda *args: [jnp.array(x) for x in validated[-1]])
     return keys
 
@@ -201,7 +227,7 @@ def test_a_number_that_is_not_finite_leaves_the_best_checkpoint_alone(monkeypatc
     assert "iteration 30" in outcome.stopped
     assert (outcome.best_epoch, outcome.best_score) == (10, 2.0)
     assert best_weight(tmp_path / "r") == 1.0
-    like = Progress(*(begin(load_run(tmp_path / "r")[1], TINY.training),) * 2, *[jnp.zeros(())] * 4)
+    like = Progress.of(begin(load_run(tmp_path / "r")[1], TINY.training))
     last, _ = load_tree(tmp_path / "r" / LAST, like, "training")
     assert float(last.learner.policy.out_layers[0].bias[0]) == 1.0
     strict(tmp_path / "r" / METRICS)

@@ -5,13 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episodes import training_episode
 
 from foveate.experiment.presets import TrainingSettings
 from foveate.learning.learner import episode_score
 from foveate.learning.policy_gradient import objective
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
-from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import Backpropagation, Policy
 from foveate.simulation.rollout import log_dets
 

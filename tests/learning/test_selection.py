@@ -95,8 +95,16 @@ def test_a_saturated_policy_is_rolled_back(score):
 
 def test_updates_of_the_actor_critic_are_counted_in_epochs():
     settings = ActorCriticSettings(algorithm="actor-critic", update_epochs=3, minibatches=5)
-    decision = decide(progress(), learner(9.0, 30), 0.0, 1.0, True, settings)
+    state = progress(best=3.0, below=COLLAPSED_VALIDATIONS - 1)
+    decision = decide(state, learner(9.0, 30), 0.0, 0.0, True, settings)
     assert int(decision.progress.learner.optimizer[1][0].count) == 30 * 3 * 5
+
+
+def test_an_actor_critic_at_the_limits_is_not_saturated():
+    """A camera that only turns is there for good reason, and samples lead beyond them."""
+    settings = ActorCriticSettings(algorithm="actor-critic")
+    decision = decide(progress(), learner(0.3, 30), 1.5, 1.0, True, settings)
+    assert (decision.is_best, decision.event) == (True, "")
 
 
 def test_many_validations_far_below_the_best_are_a_collapse():
@@ -141,3 +149,17 @@ def test_a_number_that_is_not_finite_stops_training_at_the_best():
     assert facts(decision) == {**UNCHANGED, "learner": pytest.approx(0.1), "epoch": 10}
     assert (decision.is_best, decision.event) == (False, "not finite")
     assert "iteration 30" in str(decision.stop_reason)
+
+
+def test_a_training_without_any_gradient_ends_with_a_word():
+    """Its first validation is kept all the same, and a reason that was found before stays."""
+    first = decide(Progress.of(learner(0.2, 0)), learner(0.3, 5), -1.4, 0.85, True, SETTINGS, 0.0)
+    assert first.is_best
+    assert first.stop_reason is not None
+    assert first.stop_reason.startswith("iteration 5: all gradients are 0, 85% of commands at a limit")
+    later = decide(progress(), learner(0.3, 30), 0.9, 0.1, True, SETTINGS, 0.0)
+    assert later.stop_reason is not None
+    assert not later.is_best
+    assert decide(progress(), learner(0.3, 30), 0.9, 0.1, True, SETTINGS, 1e-30).stop_reason is None
+    broken = decide(progress(), learner(0.3, 30), math.nan, 0.1, False, SETTINGS, 0.0)
+    assert "not finite" in broken.stop_reason

@@ -49,6 +49,33 @@ def test_action_of_an_unreachable_control_is_the_nearest():
     np.testing.assert_allclose(agent.control(agent.action(jnp.array([0.0, 9.0]))), [0.1, 1.0], atol=1e-15)
 
 
+COMMANDS = np.array([[0.0, -1.0], [0.0, 1.0], [4.0, 0.0], [2.0, 0.5]])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_set_of_commands(dtype):
+    """Always one of them to the last bit, the nearest in units of the limits; its own action has each command."""
+    free = drive("paper", dtype)
+    agent = Agent(free.space, free.axes, free.lower, free.upper, jnp.asarray(COMMANDS, dtype))
+    actions = np.random.default_rng(0).uniform(-1.5, 1.5, (500, 2)).astype(dtype)
+    found = np.asarray(jax.jit(jax.vmap(agent.control))(actions))
+    assert found.dtype == dtype
+    scale = np.array([4.0, 2 * np.pi / 3])
+    wanted = (np.clip(actions, -1, 1) + 1) / 2 * scale + [0.0, -np.pi / 3]
+    order = [int(np.argmin([np.hypot(*((command - each) / scale)) for command in COMMANDS])) for each in wanted]
+    assert len(set(order)) == 4
+    np.testing.assert_array_equal(found, COMMANDS.astype(dtype)[order])
+    own = jax.vmap(lambda command: agent.control(agent.action(command)))(agent.commands)
+    np.testing.assert_array_equal(own, agent.commands)
+
+
+def test_the_derivative_of_a_set_of_commands_is_that_of_the_limits():
+    free = drive("paper")
+    agent = Agent(free.space, free.axes, free.lower, free.upper, jnp.asarray(COMMANDS))
+    action = jnp.array([0.2, -0.3])
+    np.testing.assert_allclose(jax.jacobian(agent.control)(action), np.diag([2.0, np.pi / 3]), atol=1e-12)
+
+
 def test_twist_puts_every_command_on_its_axis():
     limits = jnp.array([1.0, 2.0, 3.0, 4.0])
     agent = Agent(SPACES["spatial"], (0, 2, 1, 5), -limits, limits)

@@ -1,5 +1,8 @@
 """The gate against scipy's Gaussian and filterpy; what it rejects, and when it gives in."""
 
+from dataclasses import replace
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,9 +15,10 @@ from foveate.deploy.tracker import Tracker
 from foveate.models.belief import Belief
 from foveate.models.gate import RESTART_AFTER, gate_limit, one_point, squared_distance
 from foveate.names import GATE
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
+from foveate.scenario.sensor import SensorSettings
 from foveate.simulation.records import TRUE, Episode, Truth
 from foveate.simulation.rollout import rollout
 
@@ -64,7 +68,7 @@ def drive(steps, wild, gate=LIMIT):
         horizon=jnp.asarray(steps),
         truth=Truth(jnp.asarray(state), jnp.asarray(noise)),
     )
-    still = heuristic("still", problem, 2.0)
+    still = heuristic_policy("still", problem, 2.0)
     run = jax.jit(lambda: rollout(problem, still, episode, TRUE._replace(gate=gate), jax.random.key(0)))
     return jax.tree.map(np.asarray, run())
 
@@ -107,3 +111,26 @@ def test_the_tracker_does_the_same():
     np.testing.assert_allclose(tracker.mean[0], [100.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(tracker.covariance[0], SCENARIO.problem().sensor.V, rtol=1e-6)
     assert tracker.unseen_s.tolist() == [0.0, 0.0]
+
+
+def test_a_restart_has_the_noise_of_the_place_where_it_was_measured():
+    """1.70 m at 15 m with 0.1 + 0.107 a metre; at the mean that was rejected, on the agent, it would be 0.1 m."""
+    sensor = SensorSettings(std_m=0.1, range_growth_per_m=1.0667)
+    problem = replace(SCENARIO, sensor=sensor).problem()
+    jump, steps = 15.0, RESTART_AFTER
+    state = np.zeros((steps + 1, 1, 2))
+    state[1:, 0, 0] = jump
+    episode = Episode(
+        pose=jnp.zeros(3),
+        mean=jnp.zeros((1, 2)),
+        present=jnp.ones(1, bool),
+        inputs=jnp.zeros((steps, 1, 2)),
+        horizon=jnp.array(steps),
+        truth=Truth(jnp.asarray(state), jnp.zeros((steps, 1, 2))),
+    )
+    protocol = TRUE._replace(gate=1e-3)
+    problem = eqx.tree_at(lambda p: p.prior_information, problem, 1e4 * jnp.eye(2))
+    trace = rollout(problem, heuristic_policy("still", problem, 1.0), episode, protocol, jax.random.key(0))
+    deviation = np.sqrt(np.diag(np.linalg.inv(trace.information[-1, 0])))
+    np.testing.assert_allclose(deviation, 0.1 * (1 + 1.0667 * jump), rtol=1e-6)
+    np.testing.assert_allclose(trace.mean[-1, 0], [jump, 0.0], atol=1e-9)

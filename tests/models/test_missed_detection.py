@@ -11,7 +11,7 @@ from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.evaluation.metrics import chi_square_band
 from foveate.models.belief import Belief
 from foveate.models.missed_detection import condition_on_missed_detection, standard_points
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -97,23 +97,25 @@ def test_an_empty_or_full_view_gives_no_information(inside):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("missed_detections", "is_honest"), [(None, False), ("used", True)])
-def test_a_filter_that_uses_missed_detections_is_consistent(missed_detections, is_honest):
-    """Targets around an agent that stands still; those count that were believed in view and were not detected."""
+@pytest.mark.parametrize(
+    ("missed_detections", "steps", "is_honest"), [(None, 1, False), ("used", 1, True), ("used", 12, True)]
+)
+def test_a_filter_that_uses_missed_detections_is_consistent(missed_detections, steps, is_honest):
+    """Targets around an agent that stands still; those count that were believed in view and were never detected."""
     scenario = Scenario(
         sensor=SensorSettings(missed_detections=missed_detections), scenes=SceneSettings(initial_error="consistent")
     )
     problem, places = scenario.problem(), np.random.default_rng(0).uniform(-1, 1, (300, 20, 2)) * [4, 5] + [1, 0]
     still = ((0.0, 0.0),) * 20
     scenes = [
-        Scene(id=str(i), agent=(0.0, 0.0, 0.0), targets=tuple(map(tuple, one.tolist())), drift=still, horizon=1)
+        Scene(id=str(i), agent=(0.0, 0.0, 0.0), targets=tuple(map(tuple, one.tolist())), drift=still, horizon=steps)
         for i, one in enumerate(places)
     ]
     suite = prepare(problem, replace(scenario.scenes, jitter_m_s=0.0), scenes, seed=0)
-    trace = evaluate_traces(suite, heuristic("still", problem, 2.0), TRUE)
-    error = trace.mean[:, 1] - np.asarray(suite.truth.state)[:, 1]
-    nees = np.einsum("eni,enij,enj->en", error, trace.information[:, 1], error)
-    missed = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible[:, 0]
+    trace = evaluate_traces(suite, heuristic_policy("still", problem, 2.0), TRUE)
+    error = trace.mean[:, -1] - np.asarray(suite.truth.state)[:, -1]
+    nees = np.einsum("eni,enij,enj->en", error, trace.information[:, -1], error)
+    missed = np.asarray(problem.sensor.view.contains(jnp.asarray(trace.mean[:, 0]))) & ~trace.visible.any(axis=1)
     low, high = chi_square_band(2, int(missed.sum()))
     assert missed.sum() > 200
     assert (low < nees[missed].mean() < high) == is_honest

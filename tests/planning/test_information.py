@@ -10,7 +10,7 @@ from helpers.plans import PROBLEM, SPATIAL, TWO, future_of, spatial_future
 from foveate.evaluation.evaluate import prepare
 from foveate.experiment.presets import PRESETS
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
-from foveate.planning.information import Future, final_log_det, score
+from foveate.planning.information import Future, final_log_det, mean_score, score
 from foveate.planning.receding import FixedActions
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import ScheduleSettings
@@ -49,6 +49,16 @@ def test_score_is_that_of_a_textbook_filter(hard):
     expected = covariance_filter(SPATIAL, future, action, weight)
     found = jax.jit(lambda f: final_log_det(SPATIAL, f, action, level))(future)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_mean_score_is_the_mean_over_the_steps_of_a_textbook_filter():
+    future, weight = spatial_future(), lambda distance: float(distance <= 0)
+    action = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (4, 3)))
+    for horizon in (1, 3, 4):
+        after = [covariance_filter(SPATIAL, future, action[: k + 1], weight).mean() for k in range(horizon)]
+        short = eqx.tree_at(lambda f: f.horizon, future, jnp.array(horizon))
+        found = jax.jit(lambda f: mean_score(SPATIAL, f, action, None))(short)
+        assert float(found) == pytest.approx(np.mean(after), rel=1e-9)
 
 
 @pytest.mark.slow

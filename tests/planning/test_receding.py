@@ -18,8 +18,7 @@ from foveate.simulation.records import SURROGATE, TRUE, Observation, Policy
 
 
 def receding(settings=FEW, policy=None):
-    steps = TWO.horizon
-    return Receding(problem=PROBLEM, settings=settings, window=steps, horizon=jnp.array(steps), policy=policy)
+    return Receding(problem=PROBLEM, settings=settings, window=TWO.horizon, policy=policy)
 
 
 class Gentle(Policy):
@@ -78,7 +77,8 @@ def test_belief_about_later_inputs_is_their_mean_so_far():
 
     @jax.jit
     def both(observation):
-        memory = eqx.tree_at(lambda m: m.total_input, policy.start(observation), jnp.array([[0.2, -0.2]]))
+        one_step = (jnp.array([[0.2, -0.2]]), jnp.array(1))
+        memory = eqx.tree_at(lambda m: (m.total_input, m.steps), policy.start(observation), one_step)
         future = believed_future(PROBLEM, observation, jnp.array([[0.3, -0.1]]), TWO.horizon, jnp.array(5))
         expected = plan(PROBLEM, future, settings, jax.random.key(0), straight_ahead(PROBLEM, TWO.horizon)[None])
         return future, expected.action[0], policy(observation, memory, jax.random.key(0))

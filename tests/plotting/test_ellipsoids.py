@@ -120,3 +120,12 @@ def test_faces_span_closed_lines_and_joined_edges(outline, count):
     for face in made:
         # Every corner of a face is one of the outline's.
         assert np.abs(face[:, None] - points).sum(axis=-1).min(axis=1).max() < 1e-9
+
+
+def test_edges_of_a_box_pass_each_corner_three_times():
+    box = np.array([[0.0, 1, 2], [3, 5, 9]])
+    lines = ellipsoids.box_lines(box)
+    length = sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in lines)
+    assert length == pytest.approx(4 * (3 + 4 + 7))
+    (rectangle,) = ellipsoids.box_lines(box[:, :2])
+    np.testing.assert_array_equal(np.abs(np.diff(rectangle, axis=0)).sum(axis=0), [6.0, 8.0])

@@ -16,17 +16,20 @@ from matplotlib.text import Text
 from PIL import Image
 from scipy.linalg import expm
 
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.presets import PRESETS
+from foveate.io.figures import new_figure, save
 from foveate.plotting import animation, figures
 from foveate.plotting import scene as drawing
-from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data, snapshot
+from foveate.plotting.replay_figure import _timeline, replay_figure
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import TRUE
 
 
 def scene(which: EpisodeData, moment: int, **options) -> drawing.PlanarScene:
-    shown = drawing.PlanarScene(drawing.new_figure(3.0, 3.0).subplots(), which, drawing.limits([which]), **options)
+    shown = drawing.PlanarScene(new_figure(3.0, 3.0).subplots(), which, drawing.limits([which]), **options)
     shown.show(moment)
     return shown
 
@@ -180,6 +183,33 @@ def test_limits_contain_all_but_vague_beliefs():
         np.testing.assert_allclose(*(high - low))
 
 
+def test_limits_contain_the_first_beliefs():
+    which = random_episode(3, 2)
+    low, high = drawing.limits([which])
+    for mean, covariance in zip(which.estimate[0], which.covariance[0], strict=True):
+        reach = np.sqrt(5.991 * np.diagonal(covariance))  # 95 % quantile of chi-square with 2 degrees of freedom
+        assert (mean - reach > low).all()
+        assert (mean + reach < high).all()
+
+
+def test_a_region_is_drawn_and_in_sight_unless_far_wider():
+    for half, is_whole in ((12.0, True), (1e4, False)):
+        region = np.array([[-half, -half], [half, half]])
+        which = random_episode(3, 2, region=region)
+        shown = scene(which, 0)
+        assert any(np.array_equal(line.get_xydata()[[0, 2]], region) for line in shown.axes.lines)
+        low, high = drawing.limits([which])
+        assert ((low < region[0]).all() and (high > region[1]).all()) == is_whole
+        assert [entry.get_label() for entry in drawing.legend_entries([which])][-1] == "region"
+
+
+def test_names_of_targets_are_their_columns():
+    present = np.ones((4, 3), bool)
+    present[:, 1] = False
+    which = random_episode(3, 3, present=present)
+    np.testing.assert_array_equal(snapshot(which, which.arc(), 0).columns, [0, 2])
+
+
 # Files
 
 
@@ -196,12 +226,27 @@ def test_trajectories_of_real_episodes(real, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.png"]
 
 
+@pytest.mark.parametrize("title", ["$\\frac{$", "a $x^$ b", "\ud800 $", "[/x] <b> :smile:"])
+def test_names_are_drawn_as_they_are(tmp_path, title):
+    """Between two "$" matplotlib would look for a formula: these are none."""
+    made = random_episode(title=title)
+    figures.trajectory_figure([made], tmp_path / "a.png")
+    replay_figure({title: made}, tmp_path / "b.png")
+    animation.animate(made, tmp_path / "c.gif", size=(400, 300))
+    figure = new_figure(2.0, 2.0)
+    figure.subplots().set(xscale="log", xlim=(1, 100), title=title)
+    save(figure, tmp_path / "d.svg")
+    shown = {text.get_text() for text in figure.findobj(Text)}
+    assert title.replace("\ud800", "?") in shown
+    assert "$\\mathdefault{10^{1}}$" in shown  # which is drawn as a power
+
+
 def test_a_scene_without_targets(real, tmp_path):
     problem, ready, traces = real
     trace = jax.tree.map(lambda x: x[2], traces)
     made = episode_data(problem, trace, np.asarray(ready.episodes.truth.state[2]), 3, 0, "empty")
     figures.trajectory_figure([made], tmp_path / "a.png")
-    figures.replay_figure({"still": made}, tmp_path / "b.png")
+    replay_figure({"still": made}, tmp_path / "b.png")
     animation.animate(made, tmp_path / "c.gif")
     assert drawing.describe(made) == "empty · no targets"
 
@@ -278,7 +323,7 @@ def test_empty_input_and_wrong_file_endings_are_rejected(tmp_path):
     with pytest.raises(ValueError, match="no episode to draw"):
         figures.trajectory_figure([], tmp_path / "a.png")
     with pytest.raises(ValueError, match="no episode to draw"):
-        figures.replay_figure({}, tmp_path / "a.png")
+        replay_figure({}, tmp_path / "a.png")
     with pytest.raises(ValueError, match="no run to draw"):
         figures.learning_curve([], tmp_path / "a.png")
     with pytest.raises(ValueError, match=r"ends in .png, .pdf, .svg"):
@@ -289,8 +334,8 @@ def test_replay_timeline_and_shares(tmp_path):
     present = np.array([[1, 1, 1, 0, 1], [0, 1, 1, 1, 1]], bool).T
     visible = np.array([[0, 1, 0, 1], [0, 1, 0, 1]], bool).T
     made = random_episode(4, 2, present=present, visible=visible)
-    axes = drawing.new_figure(3.0, 3.0).subplots()
-    figures._timeline(axes, made, "x")
+    axes = new_figure(3.0, 3.0).subplots()
+    _timeline(axes, made, "x")
 
     def spans(collection):
         return [tuple(path.vertices[:, 0][[0, 2]]) for path in collection.get_paths()]
@@ -302,7 +347,7 @@ def test_replay_timeline_and_shares(tmp_path):
     assert sorted(map(sorted, spans(seen))) == [[0.5, 1.0]]
     assert sorted(map(sorted, spans(there_too))) == [[0.5, 2.0]]
     assert sorted(map(sorted, spans(seen_too))) == [[0.5, 1.0], [1.5, 2.0]]
-    figures.replay_figure({"one": made, "two": random_episode(4, 2)}, tmp_path / "a.png")
+    replay_figure({"one": made, "two": random_episode(4, 2)}, tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width == 1350
 
@@ -350,11 +395,71 @@ def test_a_cut_line_is_passed_over_a_broken_one_is_not(tmp_path):
 def test_the_clock_and_the_timeline_follow_steps_of_any_length():
     """A quarter of a second, then three: half way through the second step it is 1.75 s."""
     data = random_episode(2, 1, times_s=np.array([0.0, 0.25, 3.25]), visible=np.array([[False], [True]]))
-    figure = drawing.new_figure(9.0, 5.0, layout=None)
+    figure = new_figure(9.0, 5.0, layout=None)
     artists, show = animation._scene(figure, data, (900, 500))
     show(SUBSTEPS + SUBSTEPS // 2)
     assert any("t = 1.8 s" in text.get_text() for text in artists if isinstance(text, Text))
-    axes = drawing.new_figure(4.0, 3.0).subplots()
-    figures._timeline(axes, data, "policy")
+    axes = new_figure(4.0, 3.0).subplots()
+    _timeline(axes, data, "policy")
     spans = [path.get_extents() for collection in axes.collections for path in collection.get_paths()]
     assert (0.25, 3.25) in [(round(box.x0, 6), round(box.x1, 6)) for box in spans]
+
+
+# Layout
+
+
+def extent(text):
+    return text.get_window_extent()
+
+
+@pytest.mark.parametrize("episodes", [1, 3])
+def test_titles_do_not_cover_each_other(episodes):
+    figure = figures.trajectory_figure([random_episode(seed=seed) for seed in range(episodes)])
+    figure.draw_without_rendering()
+    for row in figure.subfigs:
+        times = [axes.title for axes in row.axes]
+        assert len(times) == figures.COLUMNS
+        assert all(extent(row._suptitle).y0 >= extent(time).y1 for time in times)
+        assert all(one is other or not extent(one).overlaps(extent(other)) for one in times for other in times)
+
+
+def test_a_figure_for_a_column_has_half_of_the_panels(tmp_path):
+    figure = figures.trajectory_figure([random_episode()], tmp_path / "a.png", width=3.5, dpi=300)
+    assert len(figure.axes) == figures.COLUMNS // 2
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.width == 1050
+    for options, complaint in (({"width": 0.1}, "width 0.1"), ({"dpi": 10**6}, "dpi 1e")):
+        with pytest.raises(InputError, match=complaint):
+            figures.trajectory_figure([random_episode()], **options)
+
+
+def test_labels_of_a_frame_are_whole_and_apart():
+    """Also where ticks have decimals: a scene of a metre, far from the origin."""
+    made = random_episode()
+    small = {name: 0.1 * getattr(made, name) - 20.0 for name in ("truth", "estimate", "pose")}
+    for data in (made, dataclasses.replace(made, **small, log_det=0.001 * made.log_det - 123.0)):
+        figure = new_figure(9.0, 5.0, dpi=100, layout=None)
+        animation._scene(figure, data, (900, 500))
+        ground, curves = (axes.get_tightbbox() for axes in figure.axes)
+        assert ground.x0 >= 0
+        assert ground.x1 <= curves.x0
+        assert curves.x1 <= 900
+
+
+def test_a_belief_as_wide_as_the_scene_has_no_fill():
+    made = random_episode(3, 2, visible=np.zeros((3, 2), bool))
+    wide = made.covariance * np.array([1.0, 1e4])[:, None, None]
+    shown = scene(dataclasses.replace(made, covariance=wide), 2 * SUBSTEPS)
+    assert [face[3] > 0 for face in shown.unseen.get_facecolor()] == [True, False]
+    assert (shown.unseen.get_edgecolor()[:, 3] == 1).all()
+
+
+def test_a_learning_curve_in_axes_of_a_caller(tmp_path):
+    rows = [{"epoch": k, "objective": 1.0, "gradient_norm": 1.0, "held_out": 1.0 * k, "at_limit": 0.0, "best": True,
+             "epochs_per_s": 1.0, "elapsed_s": 1.0} for k in (1, 2)]  # fmt: skip
+    (tmp_path / "metrics.jsonl").write_text("\n".join(map(json.dumps, rows)), encoding="utf-8")
+    axes = new_figure(3.0, 3.0).subplots()
+    axes.set_title("$x^2$")
+    assert figures.learning_curve(tmp_path, ax=axes) is axes.get_figure()
+    assert axes.title.get_parse_math(), "the caller's texts stay as they are"
+    np.testing.assert_allclose(axes.lines[-1].get_ydata(), [1.0, 2.0])

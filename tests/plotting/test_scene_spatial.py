@@ -13,15 +13,17 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from foveate.geometry.fov_spatial import frustum
 from foveate.geometry.space import SPACES
+from foveate.io.figures import new_figure
 from foveate.models.agent import Agent
 from foveate.models.problem import Problem
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
+from foveate.planning.named import heuristic_policy
 from foveate.plotting import animation, figures
 from foveate.plotting import scene as drawing
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
+from foveate.plotting.replay_figure import replay_figure
 from foveate.plotting.scene_spatial import DART, SpatialScene, scene_class
-from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import TRUE, Episode, Truth
 from foveate.simulation.rollout import rollout
 
@@ -57,7 +59,7 @@ def made_up(steps=4, n=3, seed=0, **changes) -> EpisodeData:
 
 
 def scene(which: EpisodeData, moment: int, **options) -> SpatialScene:
-    axes = drawing.new_figure(3.0, 3.0).add_subplot(axes_class=SpatialScene.axes_class)
+    axes = new_figure(3.0, 3.0).add_subplot(axes_class=SpatialScene.axes_class)
     shown = SpatialScene(axes, which, SpatialScene.limits([which]), **options)
     shown.show(moment)
     return shown
@@ -131,8 +133,11 @@ def test_colour_follows_the_measurement_of_the_instant():
         unseen = [j for j in range(3) if j not in seen]
         np.testing.assert_array_equal(line(shown.seen_means), which.estimate[instant][seen])
         np.testing.assert_array_equal(line(shown.unseen_means), which.estimate[instant][unseen])
-        assert len(corners(shown.seen_net)) == 3 * len(seen)
-        assert len(corners(shown.unseen_net)) == 3 * len(unseen)
+        side = np.ptp(SpatialScene.limits([which]), axis=0).max()
+        # The widths of a region: 7.815, the 95 % quantile of chi-square with 3 degrees of freedom.
+        wide = 2 * np.sqrt(7.815 * np.diagonal(which.covariance[instant], axis1=1, axis2=2)).max(axis=1) > 0.6 * side
+        assert len(corners(shown.seen_net)) == 3 * (~wide[seen]).sum()
+        assert len(corners(shown.unseen_net)) == 3 * (~wide[unseen]).sum()
 
 
 def test_absent_targets_are_not_drawn():
@@ -147,7 +152,7 @@ def test_absent_targets_are_not_drawn():
     for instant, there in ((0, [0, 2]), (3, [0])):
         shown = scene(which, SUBSTEPS * instant)
         np.testing.assert_array_equal(line(shown.targets), which.truth[instant][there])
-        assert len(corners(shown.seen_net)) + len(corners(shown.unseen_net)) == 3 * len(there)
+        assert len(shown.seen_means.get_data_3d()[0]) + len(shown.unseen_means.get_data_3d()[0]) == len(there)
         assert len(line(shown.shadows)) == len(there) + 1
         assert np.nanmax(np.abs(line(shown.trails))) < 100
 
@@ -158,7 +163,7 @@ def test_scales_are_equal_and_the_box_stays_in_sight_as_the_camera_swings():
     points = np.concatenate([which.truth.reshape(-1, 3), which.pose[:, :3, 3]])
     assert (points > box[0]).all()
     assert (points < box[1]).all()
-    figure = drawing.new_figure(5.0, 3.0, layout=None)
+    figure = new_figure(5.0, 3.0, layout=None)
     axes = figure.add_axes((0.1, 0.0, 0.7, 0.9), axes_class=SpatialScene.axes_class)
     shown = SpatialScene(axes, which, box, trail=40)
     eyes = []
@@ -176,6 +181,18 @@ def test_scales_are_equal_and_the_box_stays_in_sight_as_the_camera_swings():
     np.testing.assert_allclose(axes._box_aspect / np.ptp(box, axis=0), axes._box_aspect[0] / np.ptp(box[:, 0]))
     assert np.linalg.norm(eyes[2] - eyes[0]) > 1.0
     assert all(np.abs(axes.get_proj()[[0, 1, 3]] @ np.append(eyes[2], 1.0)) < 1e-9)
+
+
+def test_a_region_is_drawn_with_its_twelve_edges_and_is_in_sight():
+    region = np.array([[-9.0, -10, 0], [9, 10, 6]])
+    which = made_up(2, 3, region=region)
+    shown = scene(which, 0)
+    drawn = [net for net in shown.axes.collections if net is not shown.unseen_net and net is not shown.seen_net]
+    edges = [np.asarray(line) for net in drawn for line in getattr(net, "_segments3d", ()) if len(line) == 5]
+    assert sorted(np.ptp(edge, axis=0).tolist() for edge in edges)[-2:] == [[18.0, 20.0, 0.0]] * 2
+    low, high = SpatialScene.limits([which])
+    assert (low < region[0]).all()
+    assert (high > region[1]).all()
 
 
 def test_limits_of_one_point_alone_are_a_box():
@@ -213,7 +230,7 @@ def test_constant_velocity_shows_positions_and_their_covariance(tmp_path):
         horizon=jnp.array(3),
         truth=Truth(state, jnp.zeros((3, 2, 3))),
     )
-    trace = rollout(problem, heuristic("nearest", problem, 6.0), episode, TRUE, jax.random.key(0))
+    trace = rollout(problem, heuristic_policy("nearest", problem, 6.0), episode, TRUE, jax.random.key(0))
     trace = jax.tree.map(np.asarray, trace)
     made = episode_data(problem, trace, np.asarray(state), 3, 2, "a")
     np.testing.assert_allclose(made.truth, state[..., :3])
@@ -239,7 +256,7 @@ def test_gif_has_its_frames_and_colours(tmp_path):
 
 def test_figures_of_space_beside_one_of_the_plane(tmp_path):
     figures.trajectory_figure([made_up(), random_episode()], tmp_path / "a.png")
-    figures.replay_figure({"one": made_up(), "two": made_up(seed=1)}, tmp_path / "b.png")
+    replay_figure({"one": made_up(), "two": made_up(seed=1)}, tmp_path / "b.png")
     for name in "ab":
         with Image.open(tmp_path / f"{name}.png") as picture:
             assert picture.width == 1350
@@ -248,7 +265,7 @@ def test_figures_of_space_beside_one_of_the_plane(tmp_path):
 def test_an_empty_scene_and_a_vague_belief(tmp_path):
     empty = made_up(2, 0)
     figures.trajectory_figure([empty], tmp_path / "a.png")
-    figures.replay_figure({"still": empty}, tmp_path / "b.png")
+    replay_figure({"still": empty}, tmp_path / "b.png")
     animation.animate(empty, tmp_path / "c.png")
     vague = made_up(2, 2)
     animation.animate(dataclasses.replace(vague, covariance=1e6 * vague.covariance), tmp_path / "d.png")

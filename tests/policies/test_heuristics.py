@@ -2,51 +2,28 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.decisions import decide, seen, steered_to
 from scipy.stats import kstest
 
 from foveate.names import HEURISTICS
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import TriangleView
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.records import TRUE, Episode, Observation
+from foveate.simulation.records import TRUE, Episode
 from foveate.simulation.rollout import rollout
 
 PROBLEM = Scenario().problem()
 REVERSING = replace(Scenario(), agent=DifferentialDrive(v_min_m_s=-1.0)).problem()
 
 
-def seen(pose, mean, log_dets, present):
-    """Predicted beliefs whose information matrices have the given log determinants."""
-    information = np.exp(np.asarray(log_dets, float) / 2)[:, None, None] * np.array([[1.25, 0.5], [0.5, 1.0]])
-    inputs = jnp.zeros((len(mean), 2))
-    return Observation(
-        *map(jnp.asarray, (0, 9, np.array(pose, float), np.array(mean, float), information, present)), inputs
-    )
-
-
-@eqx.filter_jit
-def decide(policy, observation, key):
-    action, _ = policy(observation, policy.start(observation), key)
-    return action, policy.problem.agent.control(action)
-
-
-def steered_to(control, pose, goal):
-    """True if a command turns the shorter way to `goal`, as far as it can, and does not drive away from it."""
-    bearing = np.arctan2(*(np.asarray(goal) - pose[:2])[::-1]) - pose[2]
-    bearing = (bearing + np.pi) % (2 * np.pi) - np.pi
-    turns = np.isclose(control[1], np.clip(bearing, -np.pi / 3, np.pi / 3), atol=1e-9)
-    return bool(turns and (abs(bearing) < np.pi / 2 or control[0] == 0))
-
-
 @pytest.mark.parametrize("method", ["nearest", "uncertain"])
 def test_steers_to_the_chosen_target(method):
-    rng, policy = np.random.default_rng(0), heuristic(method, PROBLEM, 2.0)
+    rng, policy = np.random.default_rng(0), heuristic_policy(method, PROBLEM, 2.0)
     for _ in range(100):
         pose = np.array([*rng.uniform(-5, 5, 2), rng.uniform(-9, 9)])
         mean, log_dets, present = rng.uniform(-9, 9, (6, 2)), rng.uniform(-2, 9, 6), rng.random(6) < 0.7
@@ -59,7 +36,7 @@ def test_steers_to_the_chosen_target(method):
 
 
 def test_uncertain_takes_the_nearer_of_equals():
-    policy = heuristic("uncertain", PROBLEM, 2.0)
+    policy = heuristic_policy("uncertain", PROBLEM, 2.0)
     mean = [[0.0, 8.0], [1.0, -3.0], [5.0, 0.0]] * 2
     _, control = decide(policy, seen([0, 0, 0], mean, [1.0, 1.0, 1.0, 9, 9, 9], np.ones(6, bool)), jax.random.key(0))
     assert steered_to(control, np.zeros(3), [1, -3])
@@ -68,7 +45,7 @@ def test_uncertain_takes_the_nearer_of_equals():
 @pytest.mark.parametrize("method", ["nearest", "uncertain"])
 def test_ends_in_front_of_its_target(method):
     """A target that stands still: the agent ends at its standoff, facing it, and stays."""
-    policy = heuristic(method, REVERSING, 2.0)
+    policy = heuristic_policy(method, REVERSING, 2.0)
     goal = np.array([-6.0, 5.0])
     pose = np.array([0.3, 0.1, 1.0])
     mean = np.tile(goal, (6, 1))
@@ -82,17 +59,18 @@ def test_ends_in_front_of_its_target(method):
 def test_still_stands_still():
     observation = seen([1, 2, 3], np.ones((6, 2)), np.zeros(6), np.ones(6, bool))
     for problem in (PROBLEM, REVERSING):
-        action, control = decide(heuristic("still", problem, 2.0), observation, jax.random.key(0))
+        action, control = decide(heuristic_policy("still", problem, 2.0), observation, jax.random.key(0))
         np.testing.assert_allclose(control, 0, atol=1e-15)
         np.testing.assert_allclose(
             problem.agent.move(observation.pose, action, problem.tau), observation.pose, atol=1e-15
         )
     never = replace(Scenario(), agent=DifferentialDrive(v_min_m_s=0.5)).problem()
-    np.testing.assert_allclose(decide(heuristic("still", never, 2.0), observation, jax.random.key(0))[1], [0.5, 0])
+    _, control = decide(heuristic_policy("still", never, 2.0), observation, jax.random.key(0))
+    np.testing.assert_allclose(control, [0.5, 0])
 
 
 def test_random_covers_the_range_uniformly_and_depends_on_the_key():
-    policy = heuristic("random", PROBLEM, 2.0)
+    policy = heuristic_policy("random", PROBLEM, 2.0)
     observation = seen([1, 2, 3], np.ones((6, 2)), np.zeros(6), np.ones(6, bool))
     keys = jax.random.split(jax.random.key(0), 4000)
     action, control = jax.jit(jax.vmap(lambda key: decide(policy, observation, key)))(keys)
@@ -125,7 +103,7 @@ def test_lawnmower_leaves_no_point_of_the_box_further_than_a_view(given):
     """
     low, high = np.array([-8.0, -3.0]), np.array([10.0, 9.0])
     slow = replace(Scenario(), agent=DifferentialDrive(v_max_m_s=1.5), view=TriangleView(depth_m=2.0)).problem()
-    policy = heuristic("lawnmower", slow, 2.0, jnp.stack([low, high]) if given else None)
+    policy = heuristic_policy("lawnmower", slow, 2.0, jnp.stack([low, high]) if given else None)
     box = [low, high] if not given else [low + 5, low + 6]
     path = sweep(policy, slow, box)[:, :2]
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), axis=-1).reshape(-1, 2)
@@ -138,15 +116,15 @@ def test_lawnmower_leaves_no_point_of_the_box_further_than_a_view(given):
 
 @pytest.mark.parametrize("method", HEURISTICS)
 def test_without_a_target_the_action_is_defined(method):
-    policy = heuristic(method, PROBLEM, 2.0)
+    policy = heuristic_policy(method, PROBLEM, 2.0)
     mean = np.full((6, 2), 1e6)
     action, control = decide(policy, seen([1, 2, 3], mean, np.zeros(6), np.zeros(6, bool)), jax.random.key(0))
     assert np.isfinite(action).all()
     assert (np.abs(action) <= 1).all()
-    if method in ("nearest", "uncertain", "lawnmower"):
+    if method != "random":
         np.testing.assert_allclose(control[0], 0, atol=1e-12)
 
 
 def test_unknown_method():
     with pytest.raises(ValueError, match=r"method 'nearst': expected one of random, still, nearest"):
-        heuristic("nearst", PROBLEM, 2.0)
+        heuristic_policy("nearst", PROBLEM, 2.0)

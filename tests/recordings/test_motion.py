@@ -68,7 +68,7 @@ def test_constant_velocity_is_persistent_and_hardly_accelerates():
 
 
 @pytest.mark.parametrize("clock", ["regular", "irregular"])
-def test_acceleration_intensity_of_integrated_white_noise_and_its_bias(clock):
+def test_acceleration_intensity_of_integrated_white_noise_with_noisy_fixes(clock):
     rng = np.random.default_rng(5)
     q = np.array([[0.4, 0.1], [0.1, 0.2]])
     dense = 0.02 * np.arange(50_001)
@@ -84,8 +84,28 @@ def test_acceleration_intensity_of_integrated_white_noise_and_its_bias(clock):
     fit = fit_statistics(recording(*tracks), 0.5)
     assert_close_to(fit.acceleration_intensity, q, 0.05)
     if clock == "regular":
-        biased = fit_statistics(recording(*noisy), 0.5)
-        assert_close_to(biased.acceleration_intensity, q + 9 * 0.1**2 / 0.5**3 * np.eye(2), 0.05)
+        assert fit.fix_noise_std_m == pytest.approx(0.0, abs=0.03)
+        freed = fit_statistics(recording(*noisy), 0.5)  # at one spacing it would be 0.72 on each axis more
+        assert_close_to(freed.acceleration_intensity, q, 0.1)
+        assert freed.fix_noise_std_m == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize("noise_m", [0.02, 0.05, 0.2])
+@pytest.mark.parametrize("tau_s", [0.1, 0.5])
+def test_noise_of_fixes_is_not_taken_for_motion(noise_m, tau_s):
+    """Walkers at 10 Hz with a memory of 10 s: simulated exactly, by the transition of an Ornstein-Uhlenbeck process."""
+    rng, q, memory_s, dt = np.random.default_rng(11), 0.2, 10.0, 0.1
+    times, tracks = dt * np.arange(600), []
+    decay = np.exp(-dt / memory_s)
+    for i in range(60):
+        v, positions = rng.normal(0, np.sqrt(q * memory_s / 2), 2), [np.zeros(2)]
+        for _ in times[1:]:
+            before, v = v, decay * v + rng.normal(0, np.sqrt(q * memory_s / 2 * (1 - decay**2)), 2)
+            positions.append(positions[-1] + 0.5 * dt * (before + v))
+        tracks.append(track(times, np.array(positions) + rng.normal(0, noise_m, (len(times), 2)), str(i)))
+    fit = fit_statistics(recording(*tracks), tau_s)
+    assert_close_to(fit.acceleration_intensity, q * np.eye(2), 0.12)
+    assert fit.fix_noise_std_m == pytest.approx(noise_m, abs=0.02)
 
 
 @pytest.mark.parametrize("share", [0.002, 0.02])
@@ -110,10 +130,12 @@ def test_a_step_that_is_no_spike_is_trimmed():
     times = 0.5 * np.arange(2001)
     positions = walk(rng, times, 0.2 * np.eye(2))
     positions[700:703] += 100.0  # three wrong fixes in a row
-    fit = fit_statistics(recording(track(times, positions)), 0.5)
-    assert_close_to(fit.walk_covariance_m2, 0.1 * np.eye(2), 0.1)
-    assert fit.spikes == 0
-    assert fit.trimmed_fraction == pytest.approx(2 / 2000)
+    made = recording(track(times, positions))
+    for limit in (None, np.inf):  # cut at jumps, or only left out of the moments
+        fit = fit_statistics(made, 0.5, max_speed_m_s=limit)
+        assert_close_to(fit.walk_covariance_m2, 0.1 * np.eye(2), 0.1)
+        assert fit.spikes == 0
+        assert fit.trimmed_fraction == pytest.approx(0 if limit is None else 2 / 2000)
 
 
 def test_animals_that_stop_for_minutes_keep_their_motion():

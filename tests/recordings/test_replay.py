@@ -9,10 +9,11 @@ import pytest
 from helpers.recordings import ANGLE, DEPTH, TAU
 from scipy.stats import chi2
 
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.recordings.formats import load_recording
-from foveate.recordings.replay import default_agent_start, drive, prepare_replay, random_agent_starts
-from foveate.scenario.target import LinearTarget
+from foveate.recordings.replay import drive, prepare_replay
+from foveate.recordings.starts import default_agent_start, random_agent_starts
+from foveate.scenario.target import LinearTarget, VelocityTarget
 
 
 def inside(x: float, y: float) -> bool:
@@ -23,7 +24,7 @@ def inside(x: float, y: float) -> bool:
 def test_a_still_agent_sees_the_targets_in_its_view(scenario, recording):
     # Without the gate: `a` walks straight on, as this scenario does not expect.
     ready = prepare_replay(scenario, recording, [0.0, 0.0, 0.0], 2.0, gate=None)
-    row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
+    row, trace = drive(ready, "still", heuristic_policy("still", ready.problem, DEPTH))
 
     position = {
         "a": lambda t: (-8 + t, 1.1),
@@ -75,7 +76,7 @@ def test_a_still_agent_sees_the_targets_in_its_view(scenario, recording):
 
 def test_a_target_that_walks_away_unseen_is_lost(scenario, recording):
     ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0)
-    row, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
+    row, trace = drive(ready, "still", heuristic_policy("still", ready.problem, DEPTH))
     assert row.seen_time_fraction == 0.0
     # Only a moves further than the depth of the view from where it was first believed to be.
     assert row.lost == 1
@@ -91,7 +92,7 @@ def test_a_belief_restarts_when_its_target_appears(scenario, recording):
     errors = []
     for seed in range(25):
         ready = prepare_replay(scenario, recording, [0.0, -50.0, -1.5], 2.0, seed=seed)
-        _, trace = drive(ready, "still", heuristic("still", ready.problem, DEPTH))
+        _, trace = drive(ready, "still", heuristic_policy("still", ready.problem, DEPTH))
         index = ready.slots.track_index
         begins = (index[1:] >= 0) & (index[1:] != index[:-1])
         assert begins.sum() >= 2  # c, and d after its gap
@@ -101,6 +102,28 @@ def test_a_belief_restarts_when_its_target_appears(scenario, recording):
     squares = np.square(errors).ravel() / 2.0
     low, high = np.array(chi2.interval(0.999, len(squares))) / len(squares)
     assert low < squares.mean() < high
+
+
+@pytest.mark.parametrize("choice", [None, "zero", "truth"])
+def test_a_belief_begins_at_rest_unless_the_truth_is_asked_for(scenario, recording, choice):
+    """Also that of a target which is there from the start: nobody has seen it move."""
+    target = VelocityTarget(kind="constant_velocity", initial_velocity_variance_m2_s2=0.04)
+    scenes = replace(scenario.scenes, first_mean_velocity=choice)
+    moving = replace(scenario, target=target, scenes=scenes)
+    errors = []
+    for seed in range(25):
+        ready = prepare_replay(moving, recording, [0.0, -50.0, -1.5], 2.0, seed=seed)
+        index, arrivals = ready.slots.track_index, ready.episode.arrivals
+        np.testing.assert_array_equal(ready.episode.mean, arrivals.mean[0])
+        begins = (index >= 0) & (np.concatenate([np.full_like(index[:1], -1), index[:-1]]) != index)
+        mean = np.asarray(arrivals.mean)[begins]
+        errors.append(mean[:, 2:] - ready.truth[begins][:, 2:])
+        if choice != "truth":
+            np.testing.assert_array_equal(mean[:, 2:], 0)
+    if choice == "truth":
+        squares = np.square(errors).ravel() / 0.04
+        low, high = np.array(chi2.interval(0.999, len(squares))) / len(squares)
+        assert low < squares.mean() < high
 
 
 def test_methods_get_the_same_noise_and_seeds_differ(scenario, recording):

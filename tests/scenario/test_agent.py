@@ -37,7 +37,23 @@ def test_every_command_reaches_its_axis_within_its_limits(name):
         np.testing.assert_allclose(agent.twist(jnp.full(len(limits), end)), twist, rtol=1e-12)
 
 
+def test_commands_are_in_the_order_of_the_axes():
+    """That of a command in the settings; the agent's own is the order of the twist."""
+    commands = ((-1.0, 0.0), (2.0, 3.0), (0.5, 1.0))
+    body = FreeBody(kind="body", axes=("wy", "vx"), lower=(-1.0, 0.0), upper=(2.0, 3.0), commands=commands)
+    np.testing.assert_array_equal(body.agent().commands, np.array(commands)[:, ::-1])
+    drive = DifferentialDrive(commands=((0.0, 1.0), (4.0, -1.0)))
+    np.testing.assert_array_equal(drive.agent().commands, [[0, 1], [4, -1]])
+    assert DifferentialDrive().agent().commands is None
+
+
 BAD = {
+    "command too fast": (lambda: DifferentialDrive(commands=((0.0, 0.0), (5.0, 0.0))), "commands = (5.0, 0.0)"),
+    "command of one number": (
+        lambda: Quadrotor(kind="quadrotor", commands=((1.0,),)),
+        "commands = ((1.0,),): expected shape any x 4",
+    ),
+    "no command": (lambda: FixedWing(kind="fixed_wing", commands=()), "commands = ()"),
     "speeds": (lambda: DifferentialDrive(v_min_m_s=2.0, v_max_m_s=2.0), "v_max_m_s = 2.0"),
     "turn rate": (lambda: DifferentialDrive(w_max_rad_s=0.0), "w_max_rad_s = 0.0"),
     "no axis": (lambda: FreeBody(kind="body", axes=(), lower=(), upper=()), "axes = ()"),

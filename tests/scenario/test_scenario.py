@@ -71,7 +71,7 @@ BAD = {
         lambda: VelocityTarget(kind="constant_velocity", Q=((1.0, 2.0), (2.0, 1.0))),
         "no negative eigenvalue",
     ),
-    "B not a number": (lambda: linear(B=((math.nan, 0.0), (0.0, 1.0))), "expected finite numbers"),
+    "B not a number": (lambda: linear(B=((math.nan, 0.0), (0.0, 1.0))), "expected a finite number"),
     "A loses what a scheduled W does not restore": (
         lambda: Scenario(
             target=linear(A=((1.0, 0.0), (0.0, 0.0))),
@@ -95,6 +95,34 @@ BAD = {
         lambda: Scenario(sensor=SensorSettings(frame="body", V=((1.0, 0.0), (0.0, 4.0)))),
         "initial_error = 'paper'",
     ),
+    "two first errors": (
+        lambda: SceneSettings(first_error_std=(1.0,), initial_error="consistent"),
+        "initial_error = 'consistent': expected 'paper'",
+    ),
+    "a negative first error": (lambda: SceneSettings(first_error_std=(1.0, -1.0)), "first_error_std = (1.0, -1.0)"),
+    "a first error of a velocity that is 0": (
+        lambda: SceneSettings(first_error_std=(1.0, 0.5), first_mean_velocity="zero"),
+        "first_error_std = (1.0, 0.5): expected 0 after the first",
+    ),
+    "first errors of a state without velocity": (
+        lambda: Scenario(scenes=SceneSettings(first_error_std=(1.0, 0.5))),
+        "scenes.first_error_std = (1.0, 0.5): expected 1 numbers",
+    ),
+    "first errors of a state in another order": (
+        lambda: Scenario(
+            target=linear(Z=((0.0, 1.0), (1.0, 0.0))),
+            scenes=SceneSettings(first_error_std=(1.0,), drift_m_s=(0.0, 0.0)),
+        ),
+        "scenes.first_error_std = (1.0,): expected none",
+    ),
+    "a ring inside out": (lambda: SceneSettings(target_ring_m=(5.0, 4.0)), "target_ring_m = (5.0, 4.0)"),
+    "a ring without extent": (lambda: SceneSettings(target_ring_m=(0.0, 0.0)), "target_ring_m = (0.0, 0.0)"),
+    "births on a ring": (
+        lambda: SceneSettings(target_ring_m=(1.0, 2.0), birth_and_death=True),
+        "birth_and_death = True: expected false with target_ring_m",
+    ),
+    "agent's centre": (lambda: SceneSettings(agent_centre_m=(1.0,)), "agent_centre_m = (1.0,)"),
+    "agent's box": (lambda: SceneSettings(agent_half_side_m=(1.0, -1.0)), "agent_half_side_m = (1.0, -1.0)"),
     "process std": (lambda: DriftTarget(process_std_m=-0.1), "process_std_m = -0.1"),
     "first variance": (lambda: DriftTarget(initial_variance_m2=0.0), "initial_variance_m2 = 0.0"),
     "W negative": (lambda: DriftTarget(W=((1.0, 2.0), (2.0, 1.0))), "no negative eigenvalue"),
@@ -222,6 +250,16 @@ EXPERIMENTS = {
         )
     ),
     **PRESETS,
+    "starts": Experiment(
+        scenario=Scenario(
+            target=VelocityTarget(kind="constant_velocity"),
+            sensor=SensorSettings(V=((0.1, 0.0), (0.0, 0.2)), frame="body"),
+            scenes=SceneSettings(
+                first_error_std=(2.0, 0.0), first_mean_velocity="zero", target_ring_m=(5.0, 10.0),
+                agent_centre_m=(1.0, 2.0), agent_half_side_m=(0.0, 0.0),
+            ),
+        )
+    ),
     "polygon": Experiment(
         scenario=Scenario(
             view=PolygonView(shape="polygon", vertices_m=((0.0, 0.0), (3.0, -1.0), (3.0, 1.0))),

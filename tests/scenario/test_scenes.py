@@ -6,7 +6,7 @@ import pytest
 from helpers.commands import check_contract
 
 from foveate.geometry.space import SPACES
-from foveate.scenario.scenes import Scene, SceneSettings, read_scenes, write_scenes
+from foveate.scenario.scenes import Scene, SceneSettings, checked, read_scenes, write_scenes
 
 PLANAR, SETTINGS = SPACES["planar"], SceneSettings()
 GOOD = {"id": "a", "agent": [1.0, 2.0, 0.5], "targets": [[1, 2], [3.5, -4]], "drift": [[0.1, 0], [0, 0]], "horizon": 9}
@@ -37,6 +37,16 @@ def test_round_trip(tmp_path):
     assert read_scenes(tmp_path / "s3.json", SPACES["spatial"], SETTINGS) == [spatial]
 
 
+def test_a_scene_made_in_python_needs_neither_drift_nor_horizon(tmp_path):
+    bare = Scene(id="b", agent=(0.0, 0.0, 0.0), targets=((1.0, 2.0), (3.0, 4.0)))
+    assert bare.motion == "unbiased"
+    expected = Scene(id="b", agent=bare.agent, targets=bare.targets, drift=((0.0, 0.0),) * 2, horizon=6)
+    assert checked([bare], PLANAR, SETTINGS) == [expected]
+    assert checked([bare], PLANAR, SceneSettings(steps=40))[0].horizon == 40
+    write_scenes(tmp_path / "s.json", [bare])
+    assert read_scenes(tmp_path / "s.json", PLANAR, SETTINGS) == [expected]
+
+
 def test_defaults_and_motion(tmp_path):
     bare = {"id": "b", "agent": [0, 0, 0], "targets": [[1, 2]] * 4}
     scenes = read_scenes(written(tmp_path / "s.json", [GOOD, bare]), PLANAR, SETTINGS)
@@ -60,6 +70,7 @@ ROWS = {
     "unknown key": ([{**GOOD, "goal": 1}], "unknown key 'goal'"),
     "number as id": ([{**GOOD, "id": 3}], "id = 3"),
     "empty id": ([{**GOOD, "id": ""}], "id = ''"),
+    "half a character as id": ([{**GOOD, "id": "a\ud800"}], "expected a non-empty text of whole characters"),
     "id twice": ([GOOD, GOOD], "id 'a' is given twice"),
     "agent of another space": ([{**GOOD, "agent": [0, 0, 0, 1, 0, 0, 0]}], "scenes[0] ('a'): agent = [0"),
     "agent no list": ([{**GOOD, "agent": "here"}], "agent = 'here'"),
@@ -108,6 +119,8 @@ def test_bad_scenes(tmp_path, name):
         ('{"format": "foveate-scenes", "version": 1, "scenes": {}}', "scenes"),
         ('{"format": "foveate-scenes", "version": 1, "scenes": [], "more": 1}', "unknown key 'more'"),
         ('{"format": "foveate-scenes", "version": 1, "scenes": [{"id": "a", "agent": [NaN, 0, 0]}]}', "NaN"),
+        ('{"format": "foveate-scenes", "version": 1, "digest": null, "scenes": []}', "does not fit its digest"),
+        ('{"format": "foveate-scenes", "version": 1, "scenes": [], "scenes": []}', "'scenes' is given twice"),
     ],
 )
 def test_bad_files(tmp_path, text, words):

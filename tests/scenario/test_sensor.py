@@ -1,11 +1,13 @@
 """Settings of sensors: covariances of any scale reach the problem."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from foveate.errors import InputError
 from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import SensorSettings
 
 
@@ -34,6 +36,56 @@ BAD = {
         "also in float32",
     ),
 }
+POLAR = {"measures": "range-bearing", "std_range_m": 0.2, "std_bearing_rad": 0.01}
+BAD |= {
+    "std of a range without a range": (
+        lambda: SensorSettings(std_range_m=0.2),
+        "std_range_m = 0.2: goes with measures = 'range-bearing' or 'range' or 'azimuth-elevation-range', which is not",
+    ),
+    "range without its std": (
+        lambda: SensorSettings(measures="range-bearing", std_bearing_rad=0.01),
+        "std_range_m: is missing, with measures = 'range-bearing'",
+    ),
+    "position's std": (
+        lambda: SensorSettings(**POLAR, std_m=0.1),
+        "std_m = 0.1: goes with a measured position; with measures = 'range-bearing' give std_range_m",
+    ),
+    "bearing's std negative": (
+        lambda: SensorSettings(measures="bearing", std_bearing_rad=-1.0),
+        "std_bearing_rad = -1.0: expected > 0, at most 1 rad",
+    ),
+    "bearing's std in degrees": (
+        lambda: SensorSettings(measures="bearing", std_bearing_rad=5.0),
+        "std_bearing_rad = 5.0: expected > 0, at most 1 rad",
+    ),
+    "growth of a range not measured": (
+        lambda: SensorSettings(measures="bearing", std_bearing_rad=0.1, range_growth_per_m=0.1),
+        "range_growth_per_m = 0.1: expected 0 with measures = 'bearing'",
+    ),
+    "growth of an angle not measured": (
+        lambda: SensorSettings(measures="range", std_range_m=0.1, angle_growth_per_m=0.1),
+        "angle_growth_per_m = 0.1: expected none",
+    ),
+    "in the plane": (
+        lambda: Scenario(
+            sensor=SensorSettings(measures="azimuth-elevation", std_bearing_rad=0.1, std_elevation_rad=0.1)
+        ),
+        "sensor.measures = 'azimuth-elevation': expected 'range-bearing', 'bearing', 'range' or none in the plane",
+    ),
+    "paper's first error": (lambda: Scenario(sensor=SensorSettings(**POLAR)), "expected 'consistent'"),
+}
+
+
+def test_own_coordinates_reach_the_problem_with_their_noise():
+    growth = {"range_growth_per_m": 0.5, "angle_growth_per_m": 0.25}
+    sensor = (
+        Scenario(sensor=SensorSettings(**POLAR, **growth), scenes=SceneSettings(initial_error="consistent"))
+        .problem()
+        .sensor
+    )
+    assert sensor.polar == (("range", "bearing"), (0.5, 0.25))
+    expected = np.diag([0.2 * 3, 0.01 * 2]) ** 2
+    np.testing.assert_allclose(sensor.covariance(jnp.eye(2), jnp.array([0.0, 4.0])), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -96,6 +96,18 @@ def scheduled(target, dimension=3, V=(), W=()):
     )
 
 
+def drawn(scenario, steps):
+    """A scene and its episode with truth."""
+    problem, settings = scenario.problem(), scenario.scenes
+
+    @jax.jit
+    def both(key, noise_key):
+        scene = draw(settings, problem, jax.random.uniform(key, (draw_size(settings, problem),), minval=-1.0))
+        return scene, episode_of(problem, settings, scene, draw_noise(problem, noise_key, steps, settings.targets_max))
+
+    return both(jax.random.key(1), jax.random.key(2))
+
+
 def spd(rng, size, scale):
     root = rng.normal(size=(size, size))
     return tuple(map(tuple, scale * (root @ root.T + 0.2 * np.eye(size))))
@@ -146,18 +158,16 @@ def test_a_schedule_is_filtered_as_filterpy_does(case):
 def test_scheduled_steps_move_agent_and_truth_for_as_long_as_they_last():
     target = VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.0)
     scenario = scheduled(target)
-    problem, settings = scenario.problem(), scenario.scenes
-    uniform = jax.random.uniform(jax.random.key(1), (draw_size(settings, problem),), minval=-1.0)
-    scene = draw(settings, problem, uniform)
-    episode = episode_of(problem, settings, scene, draw_noise(problem, jax.random.key(2), 12, settings.targets_max))
+    problem, (scene, episode) = scenario.problem(), drawn(scenario, 12)
     elapsed = np.cumsum([0.0, *np.tile(TAUS, 4)])
     np.testing.assert_allclose(np.diff(elapsed), problem.step_lengths_s(12))
     straight = scene.position[None] + elapsed[:, None, None] * scene.drift[None]
     np.testing.assert_allclose(episode.truth.state[..., :3], straight, rtol=1e-12, atol=1e-12)
     drive = FreeBody(kind="body", axes=("vx",), lower=(1.0,), upper=(2.0,)).agent()
+    move = jax.jit(lambda pose, k: drive.move(pose, jnp.ones(1), problem.at(k).tau))
     pose = problem.agent.space.identity()
     for k in range(4):
-        pose = drive.move(pose, jnp.ones(1), problem.at(jnp.asarray(k)).tau)
+        pose = move(pose, jnp.asarray(k))
     np.testing.assert_allclose(pose[0, 3], 2.0 * elapsed[4], rtol=1e-12)
 
 
@@ -171,10 +181,7 @@ def test_the_first_error_of_the_paper_has_the_first_v():
 
 def test_a_known_drift_of_positions_is_scaled_by_each_step():
     scenario = Scenario(schedule=ScheduleSettings(tau_s=TAUS), scenes=SceneSettings(jitter_m_s=0.0))
-    problem, settings = scenario.problem(), scenario.scenes
-    uniform = jax.random.uniform(jax.random.key(1), (draw_size(settings, problem),), minval=-1.0)
-    scene = draw(settings, problem, uniform)
-    episode = episode_of(problem, settings, scene, draw_noise(problem, jax.random.key(2), 6, settings.targets_max))
+    scene, episode = drawn(scenario, 6)
     np.testing.assert_allclose(episode.inputs, np.tile(TAUS, 2)[:, None, None] * scene.drift[None], rtol=1e-12)
 
 

@@ -7,14 +7,18 @@ import jax
 import numpy as np
 import pytest
 from helpers.distributions import uniform
+from helpers.episodes import training_episode
 from scipy.stats import chisquare, kstest
 
+from foveate.experiment.presets import QUADROTOR
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.sensor import SensorSettings
-from foveate.scenario.target import DriftTarget, LinearTarget
+from foveate.scenario.target import AccelerationTarget, DriftTarget, LinearTarget, VelocityTarget
+from foveate.simulation.environment import Environment, reset
 from foveate.simulation.episodes import Drawn, Noise, draw, draw_noise, draw_size, episode_of
-from foveate.simulation.suites import scene_episodes, scene_noise
+from foveate.simulation.records import TRUE
+from foveate.simulation.suites import own_suite, scene_episodes, scene_noise
 
 PAPER = Scenario()
 COUNT = 3000
@@ -22,9 +26,9 @@ W = np.array([[0.09, 0.03], [0.03, 0.04]])
 V = np.array([[0.05, -0.02], [-0.02, 0.03]])
 
 
-def drawn(settings, test=False):
+def drawn(settings, test=False, scenario=PAPER):
     """Many scenes, as numpy arrays."""
-    problem = PAPER.problem()
+    problem = scenario.problem()
     uniform = jax.random.uniform(jax.random.key(5), (COUNT, draw_size(settings, problem)), minval=-1.0)
     scenes = jax.jit(jax.vmap(lambda numbers: draw(settings, problem, numbers, test)))(uniform)
     return jax.tree.map(np.asarray, scenes)
@@ -73,6 +77,45 @@ def test_scenes_of_other_settings():
     assert (scenes.horizon == 17).all()
     assert uniform(scenes.drift, -0.3, 0.3)
     assert abs(np.corrcoef(scenes.drift[:, 0, 0], scenes.drift[:, 1, 0])[0, 1]) < 0.08
+
+
+@pytest.mark.parametrize("test", [False, True], ids=["training", "test"])
+def test_targets_on_a_ring_about_an_agent_with_a_box_of_its_own(test):
+    settings = SceneSettings(target_ring_m=(5.0, 10.0), agent_centre_m=(30.0, -4.0), agent_half_side_m=(3.0, 0.5))
+    scenes = drawn(settings, test)
+    agent = scenes.pose[:, :2] - settings.agent_centre_m
+    assert uniform(agent[:, 0], -3, 3)
+    assert uniform(agent[:, 1], -0.5, 0.5)
+    offset = scenes.position - scenes.pose[:, None, :2]
+    radius, angle = np.linalg.norm(offset, axis=-1), np.arctan2(offset[..., 1], offset[..., 0])
+    assert uniform(radius.clip(5, 10), 5, 10)
+    np.testing.assert_allclose(radius.clip(5, 10), radius, atol=1e-9)
+    assert uniform(angle, -np.pi, np.pi)
+    several = [*agent.T, scenes.pose[:, 2], radius[:, 0], radius[:, 1], angle[:, 0], angle[:, 1]]
+    assert np.abs(np.corrcoef(several) - np.eye(7)).max() < 0.08, "all are independent"
+
+
+@pytest.mark.parametrize("test", [False, True], ids=["training", "test"])
+def test_an_agent_apart_from_the_targets_and_one_with_a_ring_only(test):
+    """Where only one of the keys is given, the rest is as in training, also in test scenes."""
+    box = {"half_side_m": (3.0, 1.0), "half_side_per_target_m": 0.0, "agent_spread": 0.5}
+    apart = drawn(SceneSettings(**box, agent_centre_m=(10.0, 0.0)), test)
+    ring = drawn(SceneSettings(**box, target_ring_m=(2.0, 2.0)), test)
+    for axis, side in enumerate((3.0, 1.0)):
+        assert uniform(apart.pose[:, axis], (10.0, 0.0)[axis] - side / 2, (10.0, 0.0)[axis] + side / 2)
+        assert uniform(ring.pose[:, axis], -side / 2, side / 2)
+        assert uniform(apart.position[..., axis], -side, side)
+    np.testing.assert_allclose(np.linalg.norm(ring.position - ring.pose[:, None, :2], axis=-1), 2.0, rtol=1e-12)
+
+
+def test_a_ring_in_space_is_horizontal():
+    settings = replace(QUADROTOR.scenes, target_ring_m=(2.0, 6.0))
+    scenes = drawn(settings, scenario=QUADROTOR)
+    agent = scenes.pose[:, :3, 3]
+    assert uniform(np.linalg.norm((scenes.position - agent[:, None])[..., :2], axis=-1).clip(2, 6), 2, 6)
+    assert uniform(scenes.position[..., 2], 1.5, 4.5)
+    assert uniform(agent[:, 2], 1.5, 4.5)
+    assert abs(np.corrcoef(scenes.position[:, 0, 2], agent[:, 2])[0, 1]) < 0.08
 
 
 def test_noise_of_training():
@@ -146,6 +189,86 @@ def test_consistent_first_error_unknown_drift_and_no_process_noise():
     moved = 0.5 * (scene.drift[:, None] + 0.5 * noise.jitter)
     np.testing.assert_allclose(truth[:, 1:] - truth[:, :-1], moved, atol=1e-12)
     np.testing.assert_allclose(covariance_of(episode.mean - truth[:, 0]), 2 * np.eye(2), atol=0.15)
+
+
+STD = (2.0, 0.0, 0.5)
+JERKY = Scenario(target=AccelerationTarget(kind="constant_acceleration"), scenes=replace(FIXED, first_error_std=STD))
+
+
+def of_a_suite():
+    scenes = own_suite(JERKY.scenes, JERKY.problem())
+    episode = scene_episodes(JERKY.problem(), JERKY.scenes, scenes, 1, 100)
+    return episode.mean - episode.truth.state[:, 0]
+
+
+def of_an_environment():
+    environment = Environment(JERKY.problem(), JERKY.scenes, TRUE, noise=True)
+    episode = jax.jit(jax.vmap(lambda key: reset(environment, key).episode))(jax.random.split(jax.random.key(3), COUNT))
+    return episode.mean - episode.truth.state[:, 0]
+
+
+@pytest.mark.parametrize("errors", [of_a_suite, of_an_environment])
+def test_first_errors_have_a_deviation_for_each_block(errors):
+    """In the scenes of an evaluation, and in the episodes of training and Gymnasium; P_0 claims 2, 1 and 0.25."""
+    blocks = np.split(np.asarray(errors()), 3, axis=-1)
+    for block, std in zip(blocks, STD, strict=True):
+        if std == 0.0:
+            np.testing.assert_allclose(block, 0, atol=1e-12)
+        else:
+            assert kstest(block.ravel() / std, "norm").pvalue > 1e-3
+            assert abs(np.corrcoef(block[..., 0].ravel(), block[..., 1].ravel())[0, 1]) < 0.05
+
+
+def test_targets_at_rest_that_the_belief_does_not_know_to_be_at_rest():
+    """First and mean velocity are 0 to the bit, and P_0 = 30 I: also in a step without process noise."""
+    target = VelocityTarget(
+        kind="constant_velocity",
+        acceleration_m2_s3=0.0,
+        initial_variance_m2=30.0,
+        initial_velocity_variance_m2_s2=30.0,
+    )
+    scenes = SceneSettings(drift_m_s=(0.0, 0.0), first_error_std=(2.0, 0.0), target_ring_m=(5.0, 10.0), steps=3)
+    problem = Scenario(target=target, scenes=scenes).problem()
+    episode = training_episode(problem, scenes, jax.random.key(0), noise=True)
+    np.testing.assert_array_equal(episode.truth.state[..., 2:], 0)
+    np.testing.assert_array_equal(episode.mean[:, 2:], 0)
+    np.testing.assert_allclose(problem.prior_information, np.eye(4) / 30.0, rtol=1e-12)
+    assert np.abs(episode.mean[:, :2] - episode.truth.state[0, :, :2]).max() > 0.1
+
+
+STREET = SceneSettings(
+    targets_min=4,
+    targets_max=4,
+    half_side_m=(1.0, 1.0),
+    half_side_per_target_m=0.0,
+    steps=6,
+    birth_and_death=True,
+    shared_drift=False,
+    initial_error="consistent",
+)
+
+
+@pytest.mark.parametrize(
+    ("choice", "at_start", "of_newcomers"), [(None, True, False), ("zero", False, False), ("truth", True, True)]
+)
+def test_mean_velocities_of_first_beliefs_and_of_newcomers(choice, at_start, of_newcomers):
+    """With an error of the truth the mean differs from it by N(0, P_0); else it is 0. Positions err in each case."""
+    target = VelocityTarget(kind="constant_velocity", initial_velocity_variance_m2_s2=0.25)
+    settings = replace(STREET, first_mean_velocity=choice)
+    problem = Scenario(target=target, scenes=settings).problem()
+    keys = jax.random.split(jax.random.key(8), 500)
+    episode = jax.jit(jax.vmap(lambda key: training_episode(problem, settings, key, noise=True)))(keys)
+    truth, arrivals = np.asarray(episode.truth.state), episode.arrivals
+    begins = np.asarray(arrivals.present[:, 1:] & ~arrivals.present[:, :-1])
+    assert begins.sum() > 500
+    starts = (np.asarray(episode.mean), truth[:, 0]), (np.asarray(arrivals.mean)[:, 1:][begins], truth[:, 1:][begins])
+    for (mean, state), errs in zip(starts, (at_start, of_newcomers), strict=True):
+        error = (mean - state).reshape(-1, 4)
+        if errs:
+            np.testing.assert_allclose(np.mean(error[:, 2:] ** 2), 0.25, rtol=0.15)
+        else:
+            np.testing.assert_array_equal(mean[..., 2:], 0)
+        np.testing.assert_allclose(np.mean(error[:, :2] ** 2), 2.0, rtol=0.15)
 
 
 EYE, NONE = np.eye(2), np.zeros((2, 2))

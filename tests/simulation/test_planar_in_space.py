@@ -5,9 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episodes import training_episode
 from jax.flatten_util import ravel_pytree
 
 from foveate.geometry.space import SPACES
+from foveate.models.belief import Belief
+from foveate.models.missed_detection import condition_on_missed_detection
 from foveate.models.sensor import Softness
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.heuristics import Lawnmower
@@ -16,7 +19,6 @@ from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 from foveate.scenario.target import VelocityTarget
-from foveate.simulation.episodes import training_episode
 from foveate.simulation.planar_in_space import EmbeddedPolicy, embedded_episode, embedded_pose, embedded_problem
 from foveate.simulation.records import SURROGATE, TRUE, Protocol
 from foveate.simulation.rollout import log_dets, rollout
@@ -89,3 +91,26 @@ def test_unsupported_planar_problems_are_rejected():
     with pytest.raises(ValueError, match="in space already"):
         embedded_problem(embedded_problem(Scenario().problem()))
     assert embedded_problem(Scenario().problem()).agent.space is SPACES["spatial"]
+
+
+@pytest.mark.slow
+def test_missed_detections_stay_used_on_the_floor_of_space():
+    """Other sample points, so the beliefs agree as the two rules of integration do; heights stay certain."""
+    scenario = Scenario(
+        sensor=SensorSettings(missed_detections="used", range_growth_per_m=0.1), scenes=SceneSettings(**FEW)
+    )
+    problem = scenario.problem()
+    spatial = embedded_problem(problem)
+    assert spatial.sensor.uses_missed_detections
+    assert spatial.sensor.range_growth == 0.1
+    belief = Belief(jnp.array([1.4, 1.0]), jnp.diag(jnp.array([0.5, 0.8])))
+
+    def outside(p, pose):
+        return condition_on_missed_detection(
+            belief, p.motion.Z, lambda points: p.sensor.view.contains(p.agent.space.to_body(pose, points))
+        )
+
+    planar, lifted = outside(problem, jnp.zeros(3)), outside(spatial, jnp.eye(4))
+    assert float(jnp.abs(planar.mean - belief.mean).max()) > 0.1
+    np.testing.assert_allclose(lifted.mean, planar.mean, atol=0.05)
+    np.testing.assert_allclose(jnp.linalg.inv(lifted.information), jnp.linalg.inv(planar.information), atol=0.2)

@@ -4,13 +4,16 @@ import json
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 from helpers.distributions import uniform
 
+from foveate.experiment.presets import PRESETS
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import SceneSettings
-from foveate.simulation.suites import scene_episodes, suite, table1
+from foveate.scenario.scenes import SceneSettings, scenes_digest
+from foveate.simulation.episodes import Drawn, Noise, episode_of
+from foveate.simulation.suites import Cell, own_suite, scene_episodes, scene_noise, suite, table1
 
 PAPER = Scenario()
 
@@ -34,6 +37,60 @@ def test_table1_is_the_papers_suite(suite180):
             drift = np.array([s.drift for s in cell])
             assert (drift == drift[:, :1]).all(), "one drift for all targets of a scene"
             assert uniform(drift[:, 0], -0.8, 0.8) if biased else not drift.any()
+
+
+@pytest.mark.parametrize(
+    ("preset", "seed", "digest"),
+    [
+        ("table1", 2023, "dd4a3cdd29b3e621"),
+        ("table1", 7, "9274039c3089c33d"),
+        ("paper", 2023, "9719edbac5f2b65b"),
+        ("quadrotor", 2023, "4426b847a738baa0"),
+    ],
+)
+def test_suites_are_those_of_version_0_1_0(preset, seed, digest):
+    """Digests of what that version drew, cell by cell."""
+    if preset == "table1":
+        assert scenes_digest(table1(PAPER.problem(), seed)) == digest
+    else:
+        scenario = PRESETS[preset].scenario
+        assert scenes_digest(own_suite(scenario.scenes, scenario.problem(), seed)) == digest
+
+
+@pytest.mark.parametrize("preset", ["paper", "quadrotor"])
+def test_episodes_equal_those_made_scene_by_scene_bit_for_bit(preset):
+    """Scene by scene, with numpy's padding; and some numbers of version 0.1.0, to seven digits."""
+    scenario = PRESETS[preset].scenario
+    problem, settings = scenario.problem(), scenario.scenes
+    scenes = own_suite(settings, problem)[29:90:30]
+    n, steps, d = len(scenes[-1].targets), scenes[-1].horizon, problem.agent.space.dimension
+    rows = []
+    for scene in scenes:
+        more = n - len(scene.targets)
+        drawn = {
+            "pose": problem.agent.space.from_numbers(scene.agent),
+            "position": np.pad(np.reshape(scene.targets, (-1, d)), ((0, more), (0, 0))),
+            "drift": np.pad(np.reshape(scene.drift, (-1, d)), ((0, more), (0, 0))),
+            "present": np.arange(n) < len(scene.targets),
+            "horizon": np.array(scene.horizon),
+        }
+        for k in range(2):
+            noise = scene_noise(problem, scene, 5, k)
+            pads = ((0, steps - scene.horizon), (0, more), (0, 0))
+            rows.append((drawn, {name: np.pad(x, pads[3 - x.ndim :]) for name, x in noise.items()}))
+    drawn, noise = jax.tree.map(lambda *parts: np.stack(parts), *rows)
+    make = jax.vmap(lambda drawn, noise: episode_of(problem, settings, Drawn(**drawn), Noise(**noise)))
+    expected = jax.jit(make)(drawn, noise)
+    found = scene_episodes(problem, settings, scenes, 5, 2)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(one, other)
+    state, mean = {
+        "paper": ([3.9402337168, -7.8765259406], [-5.8332035811, 7.2125564407]),
+        "quadrotor": ([-3.5011987344, 3.9216658205, 2.0936986598], [-4.6711097808, 0.4922266514, 1.7126709050]),
+    }[preset]
+    np.testing.assert_allclose(found.truth.state[3, 2, 1, :d], state, atol=1e-9)
+    np.testing.assert_allclose(found.mean[5, 0, :d], mean, atol=1e-9)
 
 
 IN_SINGLE_PRECISION = """
@@ -76,9 +133,9 @@ def test_episodes_are_nearly_the_same_in_both_precisions(suite180, in_single_pre
 
 def test_a_suite_of_other_settings_keeps_them():
     settings = SceneSettings(half_side_m=(1.0, 1.0), half_side_per_target_m=0.0, steps=5)
-    scenes = suite(settings, PAPER.problem(), seed=1, targets=2, count=4, biased=True)
+    scenes = suite(settings, PAPER.problem(), seed=1, cells=[Cell(2, True)], count=4)
     assert [len(s.targets) for s in scenes] == [2] * 4
     assert {s.horizon for s in scenes} == {5}
     assert np.abs([s.targets for s in scenes]).max() <= 1
-    other = suite(settings, PAPER.problem(), seed=2, targets=2, count=4, biased=True)
+    other = suite(settings, PAPER.problem(), seed=2, cells=[Cell(2, True)], count=4)
     assert not {s.agent for s in scenes} & {s.agent for s in other}

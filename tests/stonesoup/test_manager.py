@@ -17,21 +17,22 @@ from scipy.linalg import expm
 pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
 
 from stonesoup.models.measurement.linear import LinearGaussian
-from stonesoup.models.measurement.nonlinear import CartesianToElevationBearingRange
+from stonesoup.models.measurement.nonlinear import CartesianToBearingRange, CartesianToElevationBearingRange
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity, RandomWalk
 from stonesoup.models.transition.nonlinear import ConstantTurn
 from stonesoup.platform import Platform
 from stonesoup.predictor.kalman import ExtendedKalmanPredictor, KalmanPredictor
-from stonesoup.sensor.radar.radar import RadarBearingRange
+from stonesoup.sensor.radar.radar import RadarBearingRangeRate
 from stonesoup.sensor.sensor import SimpleSensor
 from stonesoup.types.detection import Clutter
 from stonesoup.types.groundtruth import GroundTruthState
 from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.state import GaussianState, State
 from stonesoup.types.track import Track
-from stonesoup.updater.kalman import KalmanUpdater
+from stonesoup.updater.kalman import ExtendedKalmanUpdater, KalmanUpdater
 
 from foveate.deploy.tracker import Tracker
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
@@ -41,7 +42,7 @@ from foveate.geometry.fov_spatial import frustum
 from foveate.geometry.space import Spatial
 from foveate.models import belief
 from foveate.models.agent import Agent
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
 from foveate.stonesoup import BodyMovable, PolicySensorManager, ViewSensor, pose_of, problem_of
@@ -110,7 +111,7 @@ def test_a_run_in_which_the_filters_agree():
     sensor, platform = mounted(body, seed=5)
     predictor, updater, P = KalmanPredictor(walking()), KalmanUpdater(None), np.diag([2.0, 0.3, 1.5, 0.2])
     problem = problem_of(sensor, predictor, 1.0, P)
-    policy = heuristic("nearest", problem, 2.0)
+    policy = heuristic_policy("nearest", problem, 2.0)
     manager = PolicySensorManager(platforms={platform}, predictor=predictor, policy=policy, pad_to=5)
     rng, tracker = np.random.default_rng(1), Tracker(problem, gate=None, forget_after_s=1e9)
     truth = np.array([[2.0, 0.0, 1.0, 0.0], [-3.0, 0.0, 2.0, 0.0], [1.0, 0.0, -2.0, 0.0]])
@@ -154,7 +155,7 @@ def test_beside_stone_soups_own_managers():
     scene = Scene(
         id="tiny-00", agent=(0.0, 0.0, 0.0), targets=((1.0, 0.5), (-6.0, 1.0)), drift=((0.0, 0.0),) * 2, horizon=6
     )
-    policies, found, took = {"uncertain": heuristic("uncertain", PROBLEM, 2.0)}, {}, {}
+    policies, found, took = {"uncertain": heuristic_policy("uncertain", PROBLEM, 2.0)}, {}, {}
     for name in ("uncertain", "brute force", "greedy"):
         world = EXPERIMENT["World"](PROBLEM, scene, (3, 3), steers=name == "greedy")
         found[name], seen, times = world.run(EXPERIMENT["manager_of"](name, policies, world, PROBLEM))
@@ -182,6 +183,14 @@ def test_a_body_follows_its_commands():
     assert np.array([4.1, 0.0]) not in generator
     assert next(iter(generator)).target_value.tolist() == [0.0, -np.pi / 3]
     assert len(list(generator)) == 25
+
+
+def test_a_body_with_a_set_of_commands_offers_these():
+    agent = PROBLEM.agent
+    commands = jnp.array([[0.0, -1.0], [0.0, 1.0], [2.0, 0.0]])
+    body = body_of(Agent(agent.space, agent.axes, agent.lower, agent.upper, commands), (1.0, 2.0), (0, 1))
+    (generator,) = body.actions(START + SECOND)
+    np.testing.assert_array_equal([action.target_value for action in generator], commands)
 
 
 def test_a_body_and_its_view_in_space():
@@ -317,10 +326,9 @@ def test_unsupported_models_are_rejected_in_one_line():
             PolicySensorManager(platforms=set(platforms), sensors=set(sensors), predictor=predictor, **given)
         assert "\n" not in str(caught.value)
 
-    radar = RadarBearingRange(ndim_state=4, position_mapping=(0, 2), noise_covar=np.eye(2))
-    rejected(
-        "RadarBearingRange has a CartesianToBearingRange: expected a linear-Gaussian", [mounted(body_of(), radar)[1]]
-    )
+    radar = RadarBearingRangeRate(ndim_state=4, position_mapping=(0, 2), velocity_mapping=(1, 3), noise_covar=np.eye(3))
+    wrong = "RadarBearingRangeRate has a CartesianToBearingRangeRate: expected a linear-Gaussian"
+    rejected(wrong, [mounted(body_of(), radar)[1]])
     turning = ExtendedKalmanPredictor(ConstantTurn([0.1, 0.1], 0.1))
     rejected("ExtendedKalmanPredictor has a ConstantTurn: expected", [mounted(body_of())[1]], predictor=turning)
     fixed = ViewSensor(**PLAIN, view=PROBLEM.sensor.view, space=PROBLEM.agent.space, position=np.zeros((2, 1)))
@@ -361,3 +369,37 @@ def test_the_page_runs(tmp_path, monkeypatch):
     way = np.diff([np.array(state.state_vector)[:, 0] for state in names["body"].states], axis=0)
     assert len(way) == 6
     assert 0 < np.linalg.norm(way, axis=1).max() <= 4.0
+
+
+def test_a_sensor_of_range_and_bearing_measures_and_is_known_in_stone_soups_coordinates():
+    """Its problem expects what Stone Soup's own model of it measures; a policy decides on its tracks."""
+    noise = np.diag([0.02, 0.2]) ** 2  # bearing [rad], range [m]: Stone Soup's order
+    body = body_of(state=(1.0, -2.0), yaw=0.7)
+    sensor, platform = mounted(body, model=CartesianToBearingRange, noise_covar=noise)
+    problem = problem_of(sensor, KalmanPredictor(walking()), 1.0, np.eye(4))
+    assert problem.sensor.polar is not None
+    assert problem.sensor.polar.coordinates == ("bearing", "range")
+    state = np.array([2.2, 0.1, -1.3, 0.0])
+    theirs = np.asarray(sensor.measurement_model.function(State(state[:, None]), noise=False), float)[:, 0]
+    pose = pose_of(sensor, body.agent.space)
+    position_body = body.agent.space.to_body(jnp.asarray(pose), jnp.asarray([2.2, -1.3]))
+    expected = problem.sensor.expected(jnp.asarray([state[ORDER]]), position_body[None])
+    np.testing.assert_allclose(expected[0], theirs, rtol=1e-6)
+    truth = GroundTruthState(state[:, None], timestamp=START)
+    (detection,) = sensor.measure({truth}, noise=False)
+    np.testing.assert_allclose(np.asarray(detection.state_vector, float)[:, 0], theirs, rtol=1e-6)
+    track = Track([GaussianState(state[:, None], np.eye(4), timestamp=START)])
+    updater = ExtendedKalmanUpdater(sensor.measurement_model)
+    prediction = KalmanPredictor(walking()).predict(track.state, timestamp=START)
+    track.append(updater.update(SingleHypothesis(prediction, detection)))
+    manager = PolicySensorManager(
+        platforms={platform}, policy=heuristic_policy("nearest", problem, 2.0), predictor=KalmanPredictor(walking())
+    )
+    ((command,),) = [actions.values() for actions in manager.choose_actions({track}, START + SECOND)]
+    assert np.isfinite(command[0].target_value).all()
+
+
+def test_a_model_that_is_none_of_its_own_frame_is_refused():
+    sensor, _ = mounted(body_of(), model=LinearGaussian)
+    with pytest.raises(InputError, match="expected one of CartesianToBearingRange"):
+        _ = sensor.measurement_model

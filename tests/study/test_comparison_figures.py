@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from foveate.experiment.run_folder import Validation
+from foveate.io.figures import BLUE, new_figure
 from foveate.plotting import scene as drawing
 from foveate.study import comparison_figures as figures
 from foveate.study.comparison_figures import duel_figure, learning_curves
@@ -22,9 +23,8 @@ def test_mean_and_band_over_seeds():
     def line(a, b):
         return [replace(CHECK, env_steps=int(x), held_out=a + b * x) for x in np.linspace(10, 100, 10)]
 
-    axes = drawing.new_figure(3.0, 3.0).subplots()
-    x_of = figures.LEARNING_AXES["environment steps"]
-    figures._mean_curve(axes, [line(0.0, 1.0), line(2.0, 3.0), line(1.0, 5.0)], x_of, drawing.BLUE)
+    axes = new_figure(3.0, 3.0).subplots()
+    figures._mean_curve(axes, [line(0.0, 1.0), line(2.0, 3.0), line(1.0, 5.0)], BLUE)
     x, y = axes.lines[0].get_data()
     np.testing.assert_allclose(y, 1.0 + 3.0 * np.asarray(x), rtol=1e-9)
     assert (x[0], x[-1]) == pytest.approx((10.0, 100.0))
@@ -34,7 +34,7 @@ def test_mean_and_band_over_seeds():
 
 
 def test_both_agents_are_drawn_in_their_own_colour():
-    axes = drawing.new_figure(3.0, 3.0).subplots()
+    axes = new_figure(3.0, 3.0).subplots()
     episodes = (random_episode(seed=1), random_episode(seed=2))
     for one, tint in zip(episodes, figures.DUEL, strict=True):
         drawing.PlanarScene(axes, one, drawing.limits(episodes), tint=tint).show(12)

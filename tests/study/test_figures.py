@@ -7,7 +7,7 @@ import pytest
 from helpers.points import DOUBLING, random_points
 from PIL import Image
 
-from foveate.plotting.scene import new_figure
+from foveate.io.figures import new_figure
 from foveate.study import figures
 from foveate.study.comparison import Overall
 from foveate.study.figures import pareto_figure, pareto_front, robustness_figure
@@ -47,13 +47,6 @@ def test_the_front_is_the_undominated_methods():
         assert found == {(one.step_time_s, one.mean) for one in points if one.method in expected}
 
 
-def test_labels_that_would_cover_each_other_are_moved_apart():
-    points = [overall(str(i), 1e-3, value) for i, value in enumerate((1.0, 1.01, 1.0, 5.0))]
-    heights = figures._spread_labels([*points, overall("far", 1.0, 1.0)], 0.2)
-    assert min(np.diff(sorted(heights[:4]))) > 0.2 - 1e-9
-    assert heights[3:] == [5.0, 1.0]
-
-
 def test_the_pareto_figure_is_a_file_of_readme_width(tmp_path):
     pareto_figure(
         [overall("a", 1e-3, 1.0), overall("b", 1e-2, 2.0, "someone's"), overall("o", 1.0, 3.0, "omniscient")],
@@ -63,6 +56,19 @@ def test_the_pareto_figure_is_a_file_of_readme_width(tmp_path):
         assert picture.width == 1350
     with pytest.raises(ValueError, match="no method"):
         pareto_figure([], tmp_path / "a.png")
+
+
+def test_the_omniscient_planner_is_never_drawn_below_a_method(tmp_path):
+    low, high = overall("o", 1.0, 1.5, "omniscient"), overall("o", 1.0, 3.0, "omniscient")
+    methods = [overall("a", 1e-3, 1.0), overall("b", 1e-2, 2.0)]
+    assert figures.shown_references([*methods, low]) == []
+    assert figures.shown_references([*methods, high]) == [high]
+    axes, found = new_figure(3.0, 3.0).subplots(), verdicts(DOUBLING, random_points())
+    above = [replace(one, mean=1e3) if one.method == "net" and one.value == found[0].value else one for one in found]
+    figures._panel(axes, DOUBLING, above, {"net": figures.STYLES[0], "omniscient": figures.DASHED})
+    (dashed,) = [line for line in axes.lines if line.get_linestyle() == "--"]
+    drawn = dict(np.asarray(dashed.get_xydata(), float).tolist())
+    assert np.isnan(drawn[found[0].value])
 
 
 def test_lines_stand_at_the_means():

@@ -9,7 +9,7 @@ from scipy import stats
 
 from foveate.evaluation.evaluate import evaluate
 from foveate.experiment.presets import PRESETS
-from foveate.policies.heuristics import heuristic
+from foveate.planning.named import heuristic_policy
 from foveate.scenario.factors import FACTORS
 from foveate.simulation.suites import table1
 from foveate.study.methods import Fixed
@@ -33,7 +33,7 @@ def test_scenes_are_those_of_table1_and_the_same_for_every_value():
 @pytest.mark.slow
 def test_points_equal_an_evaluation():
     def nearest(experiment):
-        return heuristic("nearest", experiment.scenario.problem(), experiment.scenario.view.depth_m)
+        return heuristic_policy("nearest", experiment.scenario.problem(), experiment.scenario.view.depth_m)
 
     method = Fixed(name="nearest", make=nearest)
     benchmarks = {value: changed_benchmark(PAPER, BY_NAME["V"], value, 2, 2023, 0) for value in (0.2, 0.4)}

@@ -10,11 +10,12 @@ from foveate.evaluation.evaluate import Row
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import Outcome
 from foveate.simulation.records import Policy
-from foveate.simulation.suites import suite
-from foveate.study import run as reproduction
+from foveate.simulation.suites import Cell, suite
+from foveate.study import jobs as reproduction
 from foveate.study import study
+from foveate.study.jobs import JOBS, TRAININGS
 from foveate.study.methods import FULL, QUICK, Learned, Method, Training, paper_methods
-from foveate.study.run import JOBS, TRAININGS, jobs, reproduce
+from foveate.study.run import jobs, reproduce
 from foveate.study.study import Study
 
 EXPERIMENT = PRESETS["paper"]
@@ -60,8 +61,7 @@ def small(monkeypatch):
     """Two scenes of one target, trainings that only leave their files behind."""
 
     def two_scenes(problem, seed):
-        scenes = EXPERIMENT.scenario.scenes
-        return [scene for biased in (False, True) for scene in suite(scenes, problem, seed, 1, 3, biased)]
+        return suite(EXPERIMENT.scenario.scenes, problem, seed, [Cell(1, False), Cell(1, True)], 3)
 
     def train(experiment, run, seed, resume, report):
         CALLS.append(f"train {run.name} resume={resume}")

@@ -1,12 +1,14 @@
 """Tables of a comparison of made-up rows."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
 from helpers.comparisons import BASE, LOWEST, OTHER, SCENES, SEEDS, made_up, rows
+from rich.console import Console
 from scipy import stats
 
-from foveate.io.tables import markdown
+from foveate.io.tables import Table, draw, markdown
 from foveate.study.comparison import Part, compare
 from foveate.study.tables import tables
 
@@ -43,5 +45,20 @@ def test_tables_show_the_consistency_of_the_filter():
     nees = found["true, consistent initial errors: NEES by cell"]
     low, high = stats.chi2.interval(0.95, 2 * 3 * SCENES) / np.array(3 * SCENES)
     assert nees.rows[0][2] == f"2.00 ({low:.2f} to {high:.2f}) / 1.00* / -"
-    (line,) = found["true, consistent initial errors: targets seen, and consistency of the filter"].rows
+    (line,) = found["true, consistent initial errors: targets detected, and consistency of the filter"].rows
     assert line[2:] == ("100%", "25.0%", "3.0", "0.20", "0.10", "0.40", "2.00", "1.00", "-", "0 of 2")
+
+
+HOSTILE = "[/x] :smile: [red]a[/] $\\frac{$ <b>|![x](http://a) \\"
+
+
+def test_names_are_text_on_a_terminal_and_on_a_page():
+    table = Table(title=HOSTILE, header=(HOSTILE, "b"), rows=((HOSTILE, "1"),))
+    file = io.StringIO()
+    draw(table, Console(file=file, width=500, force_terminal=True, color_system=None))
+    assert file.getvalue().count(HOSTILE) == 3
+    lines = markdown("t", {"fact": f"a\n# {HOSTILE}"}, [table], {}).splitlines()
+    assert not any("<b>" in line or "](http" in line for line in lines)
+    assert [line for line in lines if line.startswith("#")] == ["# t", lines[4]]
+    (row,) = [line for line in lines if line.endswith("| 1 |")]
+    assert row.replace("\\|", "").count("|") == 3

@@ -10,6 +10,7 @@ import numpy as np
 from foveate.bench.timing import Metric, in_turn, time_metric
 from foveate.experiment.experiment import Experiment
 from foveate.models.problem import Problem
+from foveate.models.robot import Robot
 from foveate.simulation.records import Observation, Policy
 
 TARGETS = (1, 8, 64, 1000)
@@ -27,13 +28,14 @@ def observation_of(problem: Problem, targets: int) -> Observation:
         information=jnp.asarray(np.broadcast_to(np.eye(n_y), (targets, n_y, n_y)), jnp.float32),
         present=jnp.ones(targets, bool),
         known_input=jnp.zeros((targets, problem.motion.input_size), jnp.float32),
+        robot=Robot.of(problem),
     )
 
 
 def jax_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
     """Time decisions of the paper's network, compiled by JAX."""
     problem, key = experiment.scenario.problem(), jax.random.key(0)
-    policy: Policy = experiment.policy.policy(problem, key)
+    policy: Policy = experiment.new_policy(key)
     decide = jax.jit(lambda observation, key: policy(observation, (), key)[0])
     return _decisions("jax", problem, lambda observation: lambda: decide(observation, key), repeats)
 
@@ -47,7 +49,7 @@ def onnx_decisions(experiment: Experiment, repeats: int) -> list[Metric]:
     from foveate.deploy.onnx.export import to_onnx
 
     problem = experiment.scenario.problem()
-    policy = experiment.policy.policy(problem, jax.random.key(0))
+    policy = experiment.new_policy(jax.random.key(0))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     model = to_onnx(experiment, policy).SerializeToString()

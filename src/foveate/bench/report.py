@@ -21,6 +21,11 @@ REPEATS, QUICK_REPEATS, REFERENCE_REPEATS = 9, 3, 3
 NOISE = {"s": 0.05, "us": 1.0, "1": 0.5, "MiB": 32.0}
 """Values up to this, by unit, are noise, and not compared with a baseline."""
 
+NOTE = (
+    "↓ lower is better, ↑ higher is better. ratio: to this machine's own speed, comparable between machines. spread: "
+    "between the quartiles of the repeats, as a share of the median; * too wide to trust."
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
@@ -42,11 +47,17 @@ class Report:
         for metric in self.metrics:
             ratio, baseline = self.ratios[metric.key], before.get(metric.key)
             relative = f"{ratio / baseline:.2f}" if baseline else ""
-            spread_text = f"{metric.spread:.0%}{' wide' * (metric.spread > timing.MAX_SPREAD)}"
-            numbers = (f"{metric.value:.4g}", f"{ratio:.4g}", relative)
-            rows.append((metric.key, metric.unit, *numbers, metric.better, spread_text))
-        header = ("metric", "unit", "value", "ratio", "over baseline", "better", "spread")
-        return Table(title=f"{self.machine}: medians of {self.repeats} repeats", header=header, rows=tuple(rows))
+            spread_text = f"{metric.spread:.0%}{'*' * (metric.spread > timing.MAX_SPREAD)}" if metric.spread else "-"
+            unit = f"{metric.unit} {'↓' if metric.better == 'lower' else '↑'}"
+            rows.append((metric.key, unit, f"{metric.value:.4g}", f"{ratio:.4g}", relative, spread_text))
+        table = Table(
+            title=f"{self.machine}: medians of {self.repeats} repeats",
+            note=NOTE,
+            header=("metric", "unit", "value", "ratio", "over baseline", "spread"),
+            rows=tuple(rows),
+            details=() if before else ("over baseline",),
+        )
+        return table.brief
 
     def doubts(self, before: dict[str, float]) -> list[str]:
         """List metrics that are unreliable or missing, a line each."""

@@ -1,12 +1,15 @@
 """Time simulation: rollouts, evaluation, environments and the omniscient planner."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from foveate.bench.timing import Metric, in_turn, rate_metric
-from foveate.evaluation.evaluate import evaluate_traces, prepare
+from foveate.bench.timing import Metric, in_turn, rate_metric, spread
+from foveate.evaluation.evaluate import Row, episode_rows, evaluate_traces, policy_keys, prepare
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.resolve import load
 from foveate.models.problem import first_information
 from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
@@ -28,7 +31,7 @@ PLANNED_SCENES, PLANNED_TARGETS = 4, 5
 def simulation(experiment: Experiment, repeats: int) -> list[Metric]:
     """Time rollouts of training scenes without noise, and evaluation of the scenario's own suite by the real filter."""
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
-    policy = experiment.policy.policy(problem, jax.random.key(0))
+    policy = experiment.new_policy(jax.random.key(0))
     keys = jax.random.split(jax.random.key(0), ENVIRONMENTS)
     episodes = jax.jit(jax.vmap(lambda key: training_episode(problem, settings, key, noise=False)))(keys)
     # Padding and steps after an episode's horizon are simulated too, but do not count.
@@ -43,6 +46,29 @@ def simulation(experiment: Experiment, repeats: int) -> list[Metric]:
         rate_metric("evaluation_target_steps_per_s", evaluation_steps, evaluation_s),
         rate_metric("evaluation_episodes_per_s", len(suite.scenes) * suite.episodes_per_scene, evaluation_s),
     ]
+
+
+def evaluation(preset: str, repeats: int) -> list[Metric]:
+    """Time the evaluation of a trained preset on its own suite, over the bare simulation of the same episodes.
+
+    The former, from scenes to rows, prepares episodes, simulates and measures them; the latter is one compiled program
+    of all of them on arrays that are ready. Nothing is compiled in the timed calls, and no decision is timed.
+    """
+    experiment, policy, _ = load(preset)
+    problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
+    scenes = own_suite(settings, problem)
+
+    def evaluate() -> list[Row]:
+        suite = prepare(problem, settings, scenes)
+        trace = evaluate_traces(suite, policy, PROTOCOLS["true"])
+        return episode_rows(suite, preset, "true", trace, [0.0] * len(scenes))
+
+    suite = prepare(problem, settings, scenes)
+    play = jax.jit(jax.vmap(lambda episode, key: rollout(problem, policy, episode, PROTOCOLS["true"], key)))
+    bare = functools.partial(play, suite.episodes, policy_keys(suite))
+    whole_s, bare_s = in_turn([evaluate, bare], repeats).T
+    ratio = float(np.median(whole_s) / np.median(bare_s))
+    return [Metric(key="evaluate_over_limit", value=ratio, unit="1", better="lower", spread=spread(whole_s / bare_s))]
 
 
 def environments(experiment: Experiment, repeats: int) -> list[Metric]:

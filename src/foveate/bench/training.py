@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.bench.decisions import observation_of
+from foveate.bench.operations import multiply_adds, per_episode
 from foveate.bench.timing import (
     Metric,
     compilations,
@@ -29,13 +30,13 @@ from foveate.bench.timing import (
 )
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import TrainingSettings
-from foveate.learning.devices import on_all_devices, sharded
-from foveate.learning.gradient import mean_and_gradient
+from foveate.learning.devices import Share, on_all_devices, schedule
+from foveate.learning.gradient import Group, mean_and_gradient
 from foveate.learning.loop import PLANAR_COMPILER_OPTIONS, advance_of, train
 from foveate.learning.policy_gradient import begin, micro_batch_size
 from foveate.models.problem import Problem
-from foveate.policies.attention import AttentionPolicy
 from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.records import Policy
 
 EPISODES_PER_CALL = 1200
 """Approximate number of episodes in a timed call of the training program: enough to hide the call's own overhead."""
@@ -44,34 +45,22 @@ PAPER_EPISODES = 60
 """Episodes of the paper's training step, for which compilation is reported."""
 
 
-def layer_products(policy: AttentionPolicy) -> tuple[int, int]:
-    """Multiply-adds of the layers in one decision: per target, and for the agent."""
-    per_target = sum(layer.weight.size for layer in policy.target_layers)
-    return per_target, sum(layer.weight.size for layer in (*policy.agent_layers, *policy.out_layers))
-
-
-def mean_steps(scenes: SceneSettings) -> tuple[float, float]:
-    """Mean number of steps, and of steps times targets, in an episode."""
-    numbers = range(scenes.targets_min, scenes.targets_max + 1)
-    return scenes.mean_horizon, sum(n * scenes.horizon(n) for n in numbers) / len(numbers)
-
-
-def minimum_operations(policy: AttentionPolicy, scenes: SceneSettings, episodes: int) -> float:
+def minimum_operations(problem: Problem, policy: Policy, scenes: SceneSettings, episodes: int) -> float:
     """Fewest floating-point operations of a training step: forward, and twice that backward."""
-    per_target, agent = layer_products(policy)
-    steps, target_steps = mean_steps(scenes)
-    return 3 * 2.0 * episodes * (target_steps * per_target + steps * agent)
+
+    def decision(targets: int) -> int:
+        return multiply_adds(policy, observation_of(problem, targets), (), jax.random.key(0))
+
+    return 3 * 2.0 * episodes * per_episode(decision, scenes)
 
 
-def network_program(
-    problem: Problem, scenes: SceneSettings, training: TrainingSettings, policy: AttentionPolicy
-) -> Callable:
+def network_program(problem: Problem, scenes: SceneSettings, training: TrainingSettings, policy: Policy) -> Callable:
     """Compile a function that takes `count` steps of ascent on decisions alone, without simulation.
 
     It makes as many decisions as real episodes have, each for their mean number of targets. Without padding, beliefs
     and back-propagation through states it is closer to the limit than a training step can be.
     """
-    steps, target_steps = mean_steps(scenes)
+    steps, target_steps = scenes.mean_horizon, per_episode(float, scenes)
     decisions, space = round(training.episodes * steps), problem.agent.space
     observation = observation_of(problem, round(target_steps / steps))
     pose_key, mean_key = jax.random.split(jax.random.key(0))
@@ -80,21 +69,21 @@ def network_program(
     means = observation.mean + 0.1 * jax.random.normal(mean_key, (decisions, *observation.mean.shape))
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
     # Micro-batches as large, in decisions, as those of the training step.
-    micro_batch = round(micro_batch_size(training, scenes) * steps)
+    share = Share(decisions, round(micro_batch_size(training, scenes) * steps))
 
     def loss(parameters, pose_and_mean):
         seen = eqx.tree_at(lambda o: (o.pose, o.mean), observation, pose_and_mean)
         return jnp.sum(eqx.combine(parameters, rest)(seen, (), jax.random.key(0))[0] ** 2)
 
     def step(_, parameters):
-        gradient = mean_and_gradient(loss, parameters, (poses, means), micro_batch)[1]
+        gradient = mean_and_gradient([Group(loss, (poses, means), share)], parameters)[1]
         return jax.tree.map(lambda p, g: p - 1e-3 * g, parameters, gradient)
 
     program = jax.jit(
         lambda count, parameters: jax.lax.fori_loop(0, count, step, parameters),
         compiler_options=PLANAR_COMPILER_OPTIONS,
     )
-    run = on_all_devices(program, sharded(decisions, micro_batch).devices)
+    run = on_all_devices(program, schedule([share]).devices)
     return lambda count: jax.tree.leaves(run(jnp.array(count), parameters))[0]
 
 
@@ -103,11 +92,10 @@ def training_step(experiment: Experiment, episodes: int, repeats: int) -> list[M
     assert isinstance(experiment.training, TrainingSettings), "the paper's learner is measured"
     problem, scenes = experiment.scenario.problem(), experiment.scenario.scenes
     training = replace(experiment.training, episodes=episodes)
-    policy = experiment.policy.policy(problem, jax.random.key(0))
-    assert isinstance(policy, AttentionPolicy), "the paper's network is measured"
+    policy = experiment.new_policy(jax.random.key(0))
     learner, key = begin(policy, training), jax.random.key(1)
     count = max(2, EPISODES_PER_CALL // episodes)
-    program = advance_of(replace(experiment, training=training), problem)
+    program = advance_of(replace(experiment, training=training))
     # A step is so short that the first call of the program is its compilation.
     compile_s = timed(lambda: program(jnp.array(1), learner, key)[1].objective)
 
@@ -116,7 +104,7 @@ def training_step(experiment: Experiment, episodes: int, repeats: int) -> list[M
     calls = [product, lambda: program(jnp.array(count), learner, key)[1].objective, lambda: network(count)]
     seconds = in_turn(calls, repeats)
     reference, step, network_step = seconds[:, 0], seconds[:, 1] / count, seconds[:, 2] / count
-    limit = minimum_operations(policy, scenes, episodes) * np.median(reference) / operations
+    limit = minimum_operations(problem, policy, scenes, episodes) * np.median(reference) / operations
 
     def over_limit(name: str, times: np.ndarray) -> Metric:
         value = float(np.median(times)) / limit
@@ -127,7 +115,7 @@ def training_step(experiment: Experiment, episodes: int, repeats: int) -> list[M
         over_limit("network_over_limit", network_step),
         time_metric(f"train_epoch_s_{episodes}", step, per="matmul"),
         rate_metric(f"train_episodes_per_s_{episodes}", episodes, step),
-        rate_metric(f"train_target_steps_per_s_{episodes}", episodes * mean_steps(scenes)[1], step),
+        rate_metric(f"train_target_steps_per_s_{episodes}", episodes * per_episode(float, scenes), step),
         Metric(key=f"train_peak_memory_mib_{episodes}", value=peak_memory_mib(), unit="MiB", better="lower"),
     ]
     if episodes == PAPER_EPISODES:

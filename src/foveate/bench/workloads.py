@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from functools import partial
 
+from foveate.bench.actor_critic import iterations
 from foveate.bench.decisions import jax_decisions, onnx_decisions
 from foveate.bench.processes import starting, whole_training
-from foveate.bench.simulation import environments, planning, simulation
+from foveate.bench.simulation import environments, evaluation, planning, simulation
 from foveate.bench.timing import Metric
 from foveate.bench.training import compilation_counts, training_step
 from foveate.experiment.presets import PRESETS
@@ -19,7 +20,9 @@ def measurements(sizes: tuple[int, ...], quick: bool) -> list[Measurement]:
     paper = PRESETS["paper"]
     work: list[Measurement] = [
         *((f"training step, {size} episodes", partial(training_step, paper, size)) for size in sizes),
+        ("iterations of the actor-critic", partial(iterations, PRESETS["true-view"])),
         ("simulation", partial(simulation, paper)),
+        ("an evaluation", partial(evaluation, "true-view")),
         ("environments", partial(environments, paper)),
         ("decisions by JAX", partial(jax_decisions, paper)),
         ("decisions by ONNX Runtime", partial(onnx_decisions, paper)),

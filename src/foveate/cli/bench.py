@@ -11,9 +11,10 @@ from foveate.cli.options import Command, option
 class Bench(Command):
     """Measure the speed of training, decisions, simulation, planning and start-up on this machine.
 
-    Times are medians of repeats after a warm-up, each with its ratio to the machine's own speed. A training step is
-    compared with its limit: the arithmetic of its network at the rate of a large matrix product in the same run. With a
-    baseline (an earlier --json FILE), ratios that are worse by more than the tolerance give exit status 1.
+    Times are medians of repeats after a warm-up, each with its ratio to the machine's own speed. A training step and an
+    iteration of the actor-critic, are compared with their limit: the arithmetic of their networks at the rate of a
+    large matrix product in the same run; an evaluation with its bare simulation. With a baseline (an earlier --json
+    FILE), ratios that are worse by more than the tolerance give exit status 1.
 
       foveate bench --quick
       foveate bench --json bench.json --baseline benchmarks/baseline.json

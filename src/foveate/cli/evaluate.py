@@ -12,14 +12,18 @@ from foveate.names import InitialError
 
 @dataclass(kw_only=True)
 class Evaluate(Command):
-    """Score a policy and heuristics on scenes.
+    """Score policies and heuristics on scenes.
 
     surrogate: the paper's score; targets near the field of view give a part of the information. true: the Kalman
     filter; only real measurements give information. Every method gets the same scenes and the same noise.
+
+      foveate evaluate true-view
+      foveate evaluate runs/first true-view --method policy uncertain --protocol true
     """
 
-    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
+    run: Annotated[tyro.conf.Positional[tuple[str, ...]], option("RUN|PRESET ..")]
+    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package). Of several, all
+    run in the scenario of the first."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file; table1: the paper's six cells of 30 scenes; own: 30 scenes for each of three numbers of targets from
     the scenario's distribution, not used in training (default: table1 in the plane, own in space)."""
@@ -28,7 +32,7 @@ class Evaluate(Command):
     protocol: Literal["surrogate", "true", "both"] = "both"
     """Source of information: the soft view (surrogate) or real measurements (true); see above."""
     method: tuple[str, ...] = ("policy",)
-    """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
+    """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all."""
     episodes: int = 1
     """Noise draws per scene."""
     seed: int = 0
@@ -38,8 +42,10 @@ class Evaluate(Command):
     default: as in the scenario)."""
     # tyro shows aliases first: the former name is the one that comes last.
     normalised: Annotated[bool, tyro.conf.arg(name="closeness", aliases=("--normalised",))] = False
-    """Add the normalised score: 0 for never seeing anything, 1 for the omniscient planner, whose plans take 100 s for
-    table1 on 2 cores the first time, and are then cached. Formerly --closeness."""
+    """Add the normalised score: 0 for never seeing anything, 1 for the omniscient planner (no bound), whose plans
+    take 100 s for table1 on 2 cores the first time, and are then cached. Formerly --closeness."""
+    wide: bool = False
+    """Print all columns: also deviations, time in view, the longest gap, errors, and NEES of those never detected."""
     json: Annotated[Path | None, option("FILE")] = None
     """Write rows and summary as JSON."""
     write_scenes: Annotated[Path | None, option("FILE")] = None

@@ -6,40 +6,49 @@ from typing import Annotated
 
 import tyro
 
-from foveate.cli.options import Command, option
+from foveate.cli.options import ReadingCommand, option
 from foveate.names import Goal
 
 
 @dataclass(kw_only=True)
-class Fit(Command):
+class Fit(ReadingCommand):
     """Fit a scenario to a recording of real targets, for `foveate train --config`.
 
-    The recording gives the number of targets, their positions, speeds and process noise. The options give the agent
-    and its sensor: a driving robot with a sector view in the plane, a quadrotor with a camera in space (z_m). For an
-    unbiased evaluation, fit on the first part of a recording (--end) and replay on the rest (--start).
+    The recording gives the number of targets, their positions, speeds and process noise, and the length of an episode:
+    the time to cross the scene, up to 200 steps of --tau. The options give the agent and its sensor: a driving robot
+    with a sector view in the plane, a quadrotor with a camera in space (z_m). For an unbiased evaluation, fit on the
+    first part of a recording (--end) and replay on the rest (--start).
     """
 
-    recording: Annotated[tyro.conf.Positional[Path], option("RECORDING.csv")]
-    """CSV file with the header time_s,track_id,x_m,y_m[,z_m]."""
+    recording: Annotated[tyro.conf.Positional[tuple[Path, ...]], option("RECORDING ..")]
+    """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of
+    frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""
     out: Annotated[Path, option("scenario.toml")]
     """File to write."""
+    force: bool = False
+    """Replace an existing file."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part to use [s]."""
     end: Annotated[float | None, option("SECONDS")] = None
     """End of the part to use [s]."""
+    split: Annotated[str | None, option("60,20,20")] = None
+    """Shares of the time to train on, to choose the best of several policies on, and to judge that one on: the scenario
+    is fitted to the first part. `foveate replay --split` takes the others."""
     max_gap: Annotated[float | None, option("SECONDS")] = None
     """Longest gap over which a target counts as present [s] (default: 2 s, or three fixes of a slow clock)."""
-    v_max: float = 3.0
+    v_max: Annotated[float, option("M/S")] = 3.0
     """Largest speed of the agent [m/s]."""
-    w_max: float = 1.5
+    w_max: Annotated[float, option("RAD/S")] = 1.5
     """Largest turn rate of the agent [rad/s]."""
-    view_depth: float = 10.0
+    view_depth: Annotated[float, option("M")] = 10.0
     """Depth of the field of view [m]."""
-    view_angle_deg: float = 90.0
+    view_angle_deg: Annotated[float, option("DEG")] = 90.0
     """Full angle of the field of view [deg]."""
-    tau: float = 0.5
+    tau: Annotated[float, option("SECONDS")] = 0.5
     """Control period [s]."""
-    sensor_std_m: float = 0.3
+    sensor_std_m: Annotated[float, option("M")] = 0.3
     """Standard deviation of a measured position [m]."""
+    report: Annotated[Path | None, option("FILE.html")] = None
+    """Write a page about what was found, with a figure."""
     goal: Goal = "seen"
     """Objective. seen: time in view. information: log det of all beliefs."""

@@ -1,7 +1,6 @@
 """The command line `foveate`. Nothing heavy is imported before a command is chosen, so that help is fast."""
 
 import functools
-import inspect
 import operator
 import sys
 import traceback
@@ -13,14 +12,20 @@ from typing import Annotated, Any
 import tyro
 
 from foveate import __version__
+from foveate.cli.arguments import check_arguments
 from foveate.cli.bench import Bench
+from foveate.cli.config import Config
 from foveate.cli.evaluate import Evaluate
 from foveate.cli.export import Export
 from foveate.cli.fit import Fit
+from foveate.cli.help import explained, wrapped
+from foveate.cli.logs import logged
 from foveate.cli.plan import Plan
+from foveate.cli.presets import Presets
 from foveate.cli.render import Render
 from foveate.cli.replay import Replay
 from foveate.cli.reproduce import Reproduce
+from foveate.cli.streams import steady_streams
 from foveate.cli.train import Train
 from foveate.cli.view import View
 from foveate.errors import InputError
@@ -33,8 +38,11 @@ A run in three commands:
   foveate evaluate runs/first --scenes table1
   foveate replay runs/first RECORDING.csv --out runs/first/replay
 
-foveate COMMAND --help explains each command; --version prints the version; --debug, with any command, shows the
-traceback of an error. RUN may be the name of a preset (its trained policy comes with the package).
+foveate COMMAND --help explains each command. RUN may be the name of a preset (its trained policy comes with the
+package; `foveate presets` lists them).
+
+With any command: -q (--quiet) prints warnings and results alone, -v (--verbose) every step with its time, --debug the
+traceback of an error. --version prints the version, --tyro-print-completion bash (zsh, tcsh) a shell's completion.
 
 Exit status: 0 success, 1 ran but a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted.
 """
@@ -52,23 +60,39 @@ COMMANDS = {
     "render": Render,
     "view": View,
     "export": Export,
+    "presets": Presets,
+    "config": Config,
     "bench": Bench,
 }
+
+FLAGS = {"--debug": "debug", "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose"}
+"""Options of every command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command. Exit status: 0 success, 1 a check failed, 2 wrong input, 70 a bug of foveate, 130 interrupted."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    debug, given = "--debug" in given, [argument for argument in given if argument != "--debug"]
-    if given == ["--version"]:
-        print(f"foveate {__version__}")
-        return 0
+    with steady_streams():
+        return _main(list(sys.argv[1:] if arguments is None else arguments))
+
+
+def _main(given: list[str]) -> int:
+    flags = {FLAGS[argument] for argument in given if argument in FLAGS}
+    given = [argument for argument in given if argument not in FLAGS]
     command = None
     try:
-        command = _parsed(given)
-        return _run(command)
+        try:
+            if given == ["--version"]:
+                print(f"foveate {__version__}")
+                return 0
+            if flags >= {"quiet", "verbose"}:
+                raise InputError("--quiet and --verbose: expected one of them")
+            command = _parsed(given)
+            with logged("quiet" in flags, "verbose" in flags):
+                return _run(command)
+        finally:
+            sys.stdout.flush()  # a full disk is noticed here
     except (Exception, KeyboardInterrupt) as error:
-        if debug:
+        if "debug" in flags:
             traceback.print_exc()
         status, lines = _failure(error, command)
         print(f"foveate: {lines}", file=sys.stderr)
@@ -76,24 +100,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parsed(given: Sequence[str]) -> Any:
-    """Parse a command and its options. Raises InputError for an option given twice."""
+    """Parse a command and its options. Raises InputError for unknown names, and for an option given twice."""
+    check_arguments(given, COMMANDS, repeatable=["--set"])
     kinds = [_for_tyro(kind, name, is_chosen=name in given[:1]) for name, kind in COMMANDS.items()]
     choice: Any = functools.reduce(operator.or_, kinds)
     config = (tyro.conf.OmitSubcommandPrefixes,)
-    command = tyro.cli(choice, prog="foveate", description=DESCRIPTION, args=given, config=config)
-    names = [argument.partition("=")[0] for argument in given if argument.startswith("--")]
-    if twice := [name for name in names if names.count(name) > 1]:  # of which the parser takes the last
-        raise InputError(f"{twice[0]}: is given twice: expected once, followed by all its values")
-    return command
+    return tyro.cli(choice, prog="foveate", description=wrapped(DESCRIPTION), args=given, config=config)
 
 
 def _for_tyro(kind: type, name: str, is_chosen: bool) -> Any:
     """Describe a command by the first line of its docstring in the list, by all of it on its own page."""
-    text = inspect.cleandoc(kind.__doc__ or "")
-    return Annotated[kind, tyro.conf.subcommand(name, description=text if is_chosen else text.splitlines()[0])]
+    text = kind.__doc__ or ""
+    if not is_chosen:
+        return Annotated[kind, tyro.conf.subcommand(name, description=text.splitlines()[0])]
+    return Annotated[explained(kind), tyro.conf.subcommand(name, description=wrapped(text))]
 
 
 def _run(command: Any) -> int:
+    command.check()
     keep_compiled()
     full_precision()
     command.prepare()
@@ -106,7 +130,7 @@ def _failure(error: BaseException, command: Any) -> tuple[int, str]:
     if isinstance(error, InputError):
         return WRONG_INPUT, _with_option(str(error), command)
     if isinstance(error, OSError):
-        return WRONG_INPUT, f"{error.filename or ''}: {error.strerror or error}"
+        return WRONG_INPUT, f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error)
     if isinstance(error, KeyboardInterrupt):
         return INTERRUPTED, "interrupted"
     report = f"please report it, with the command and its version (foveate {__version__}); --debug shows the traceback"

@@ -14,9 +14,9 @@ class Plan(Command):
     The default is iCR as published, in receding horizon: at every step a new plan for the current belief, starting
     from the last plan (at first straight ahead), under the paper's soft view; its first action is executed.
     --starts N: better plans, from tours of the targets too, under a view that hardens as the ascent proceeds.
-    --open-loop: one plan, at the start. --omniscient: the oracle, which knows all inputs and true positions, without
-    noise; its plans are cached. --run RUN --refine N: the actions of a trained policy, improved by N ascent steps at
-    every decision. Scenes, noise and table are those of `foveate evaluate`.
+    --open-loop: one plan, at the start. --omniscient: a reference (no bound), which knows all inputs and true
+    positions, without noise; its plans are cached. --run RUN --refine N: the actions of a trained policy, improved by N
+    ascent steps at every decision. Scenes, noise and table are those of `foveate evaluate`.
 
       foveate plan --scenes table1 --omniscient
       foveate plan --scenes table1 --starts 16 --protocol true --json plan.json
@@ -51,5 +51,7 @@ class Plan(Command):
     """Noise draws per scene."""
     seed: int = 0
     """Seed of the noise."""
+    wide: bool = False
+    """Print all columns: also deviations, time in view, the longest gap, errors, and NEES of those never detected."""
     json: Annotated[Path | None, option("FILE")] = None
     """Write rows and summary as JSON."""

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from foveate.cli.common import check_video
 from foveate.cli.options import Command, option
 from foveate.names import ProtocolName
 
@@ -30,6 +31,15 @@ class Render(Command):
     protocol: ProtocolName = "true"
     """Source of information: the soft view (surrogate) or real measurements (true)."""
     method: str = "policy"
-    """policy, random, still, nearest, uncertain or lawnmower."""
+    """policy, random, still, nearest, uncertain, lawnmower, price, window or post."""
     seed: int = 0
     """Seed of the noise."""
+    width: Annotated[float, option("INCHES")] = 9.0
+    """Width of a figure: 9 for a page, 3.5 for a column of a paper (two pictures per scene)."""
+    dpi: int = 150
+    """Dots per inch of a .png figure."""
+
+    def check(self) -> None:
+        """Raise InputError where inputs do not exist, or a video cannot be encoded."""
+        super().check()
+        check_video(self.out)

@@ -6,28 +6,36 @@ from typing import Annotated
 
 import tyro
 
-from foveate.cli.options import Command, option
-from foveate.names import GATE
+from foveate.cli.options import ReadingCommand, option
+from foveate.names import GATE, Part
 
 
 @dataclass(kw_only=True)
-class Replay(Command):
+class Replay(ReadingCommand):
     """Run methods on a recording of real targets, with the Kalman filter and the real field of view.
 
     Targets appear and disappear; positions are interpolated between fixes. All methods get the same noise and start.
-    With --out, writes replay.json, a figure and an animation.
+    With --out, writes replay.json, a figure and an animation, or a bag.
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
     """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
-    recording: Annotated[tyro.conf.Positional[Path], option("RECORDING.csv")]
-    """CSV file with the header time_s,track_id,x_m,y_m[,z_m]."""
+    recording: Annotated[tyro.conf.Positional[tuple[Path, ...]], option("RECORDING ..")]
+    """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of
+    frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""
     method: tuple[str, ...] = ("all",)
-    """Any of policy, random, still, nearest, uncertain, lawnmower; or all."""
+    """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Also planners
+    in receding horizon, which take seconds to minutes: icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part to use [s]."""
     end: Annotated[float | None, option("SECONDS")] = None
     """End of the part to use [s]."""
+    split: Annotated[str | None, option("60,20,20")] = None
+    """Shares of the time to train on (`foveate fit --split`), to choose on and to judge on; --part is replayed."""
+    part: Part = "judge"
+    """Part of the --split to replay."""
+    candidates: Annotated[tuple[str, ...], option("RUN ..")] = ()
+    """Further runs, say of other seeds: the best of all on the part to choose on is replayed on the part to judge."""
     agent_start: Annotated[str | None, option("X,Y,YAW")] = None
     """Start pose of the agent [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording)."""
     starts: int = 1
@@ -40,7 +48,10 @@ class Replay(Command):
     row, the fifth measurement restarts the belief: the target has really jumped."""
     seed: int = 0
     """Seed of the noise and of sampled starts."""
-    out: Annotated[Path | None, option("DIR")] = None
-    """Folder for replay.json, replay.png and replay.gif."""
+    out: Annotated[Path | None, option("DIR|FILE.mcap")] = None
+    """Folder for replay.json, replay.png and replay.gif; or a bag for Foxglove, Rerun and `ros2 bag play` (extra ros):
+    poses, commands, detections, beliefs and markers of the first method, from the first start."""
+    wide: bool = False
+    """Print all columns: also NEES of detected and undetected tracks, and rejected measurements."""
     json: Annotated[Path | None, option("FILE")] = None
     """Write the rows as JSON."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from foveate.cli.common import check_seed
-from foveate.cli.options import Command, option
+from foveate.cli.options import Changes, Command, option
 from foveate.errors import InputError
 from foveate.names import Learner, Preset
 
@@ -15,23 +15,28 @@ class Train(Command):
     """Train a policy into a run folder.
 
     The folder holds config.toml, metrics.jsonl, TensorBoard events, the checkpoint that is best on held-out scenes, and
-    (except with PPO) the state for --resume. The same seed gives the same checkpoint, bit for bit, on one machine.
+    (except with PPO) the state for --resume. The same seed gives the same checkpoint, bit for bit, on one machine. At
+    the end the policy is judged, in seconds, on scenes that neither trained nor selected it: by the score that it was
+    trained for, beside every heuristic and a planner (verdict.json).
     """
 
     preset: Annotated[Preset | None, option("NAME")] = None
     """paper (default): the paper's network, learner and budget (10 s on 2 cores). best: a pointer network trained by
     actor-critic for the surrogate and the true score alike (5 minutes). true-view: the same for the true score alone.
     search: the same with consistent initial errors and a filter that uses missed detections. quadrotor: a flying camera
-    over constant-velocity targets in space."""
+    over constant-velocity targets in space. pan, pan-tilt: a camera that only turns, in the plane and in space.
+    any: one policy for any robot in the plane. `foveate presets` prints more of each."""
     config: Annotated[Path | None, option("FILE.toml")] = None
-    """Experiment in place of a preset: from `foveate fit`, or config.toml of another run."""
+    """Experiment in place of a preset: from `foveate fit` or `foveate config`, or a copy of config.toml of a run."""
+    set: Changes = ()
+    """Settings that replace those of the preset or file, as scenario.view.depth_m=5 training.learning_rate=3e-4."""
     algorithm: Annotated[Learner | None, option("NAME")] = None
     """Another learner than that of the preset or file, with a network that it can train. policy-gradient: the paper's,
     through the differentiable simulation. actor-critic: PPO on full noisy episodes under the real filter. ppo: the
     paper's model-free baseline, PPO of Stable-Baselines3 with its defaults (10 minutes; needs pip install
     'foveate[ppo]'). ppo-tuned: the same with settings for this task."""
     epochs: Annotated[int | None, option("INT")] = None
-    """Iterations of the learner (default: as in the preset or file)."""
+    """Iterations of the learner (default: as in the preset or file); with --resume, more of them than before."""
     episodes: Annotated[int | None, option("INT")] = None
     """Episodes per iteration."""
     steps: Annotated[int | None, option("INT")] = None
@@ -41,7 +46,9 @@ class Train(Command):
     out: Annotated[Path | None, option("RUN")] = None
     """Run folder to create (default: runs/PRESET-SEED or runs/PRESET-ALGORITHM-SEED)."""
     resume: Annotated[Path | None, option("RUN")] = None
-    """Resume this run with its own settings and seed (not with PPO)."""
+    """Resume this run with its own settings and seed (not with PPO); a finished one with --epochs N continues to N."""
+    verdict: bool = True
+    """Judge the policy at the end."""
     remat: bool = False
     """For long horizons: store few states of an episode and recompute the others on the way back. The same gradient, a
     third more work, far less memory."""

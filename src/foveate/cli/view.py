@@ -6,12 +6,14 @@ from typing import Annotated
 
 import tyro
 
-from foveate.cli.options import Command, option
+from foveate.cli.common import check_port
+from foveate.cli.options import ReadingCommand, option
+from foveate.errors import InputError
 from foveate.names import ProtocolName
 
 
 @dataclass(kw_only=True)
-class View(Command):
+class View(ReadingCommand):
     """Show episodes in the browser, in 3-D: the agent with its field of view, targets, beliefs, and their information.
 
     Serves a page at 127.0.0.1, for this machine only, until Ctrl-C; or, with --record, writes one episode as a page
@@ -22,8 +24,8 @@ class View(Command):
     """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file, table1 or own (default: table1 in the plane, own in space)."""
-    recording: Annotated[Path | None, option("RECORDING.csv")] = None
-    """Recording of real targets, in place of scenes."""
+    recording: Annotated[Path | None, option("RECORDING")] = None
+    """Recording of real targets, in place of scenes: any file that `foveate replay` reads."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part of the recording to use [s]."""
     end: Annotated[float | None, option("SECONDS")] = None
@@ -38,10 +40,26 @@ class View(Command):
     scene: Annotated[str | None, option("NAME")] = None
     """Scene to show first, or to record (default: the first)."""
     method: Annotated[str | None, option("NAME")] = None
-    """Method to show first, or to record: policy, random, still, nearest, uncertain or lawnmower."""
+    """Method to show first, or to record: policy, or the name of a heuristic, as for `foveate evaluate --method`."""
     protocol: ProtocolName = "true"
     """Source of information: the soft view (surrogate) or real measurements (true); on a recording always true."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     seed: int = 0
     """Seed of the noise."""
+
+    def check(self) -> None:
+        """Raise InputError where options are out of range, or exclude each other, or inputs do not exist."""
+        if self.scenes is not None and self.recording is not None:
+            raise InputError("--scenes and --recording: expected one of them")
+        if self.recording is None and (given := [name for name, value in self.reading().items() if value]):
+            raise InputError(f"--{given[0]}: expected a --recording beside it")
+        if self.scene is not None and self.recording is not None:
+            raise InputError("--scene: a recording is one scene")
+        if not 1 <= self.port <= 65535:
+            raise InputError(f"--port {self.port}: expected a whole number from 1 to 65535")
+        if self.record is not None and self.record.suffix.lower() != ".html":
+            raise InputError(f"{self.record}: expected a name that ends in .html")
+        super().check()
+        if self.record is None:
+            check_port(self.port)

@@ -59,29 +59,37 @@ def update(
     """Correct every target by its measurement z = H y + N(0, V), unless the gate rejects it.
 
     The mask returned marks accepted measurements: their squared Mahalanobis distance (z - H p)^T S^-1 (z - H p),
-    S = H P H^T + V, is at most `gate_limit`.
+    S = H P H^T + V, is at most `gate_limit`, and the corrected belief is finite.
     """
     S, innovation = H @ covariance @ H.T + V, measurement - mean @ H.T
-    distance = np.einsum("ni,ni->n", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
-    accepted = distance <= gate_limit
-    K = np.linalg.solve(S, H @ covariance).swapaxes(-1, -2)
+    distance = np.einsum("ni,ni->n", innovation, _solve(S, innovation[..., None])[..., 0])
+    K = _solve(S, H @ covariance).swapaxes(-1, -2)
     # Joseph's form: a sum of semidefinite matrices however K is rounded; (I - K H) P would lose its symmetry.
     rest = np.eye(mean.shape[1]) - K @ H
     corrected = rest @ covariance @ rest.swapaxes(-1, -2) + K @ V @ K.swapaxes(-1, -2)
-    mean = np.where(accepted[:, None], mean + np.einsum("nij,nj->ni", K, innovation), mean)
-    return mean, np.where(accepted[:, None, None], corrected, covariance), accepted
+    moved = mean + np.einsum("nij,nj->ni", K, innovation)
+    accepted = (distance <= gate_limit) & np.isfinite(moved).all(axis=1) & np.isfinite(corrected).all(axis=(1, 2))
+    return np.where(accepted[:, None], moved, mean), np.where(accepted[:, None, None], corrected, covariance), accepted
+
+
+def _solve(S: Float[np.ndarray, "n m m"], b: Float[np.ndarray, "n m k"]) -> Float[np.ndarray, "n m k"]:
+    """S^-1 b of every target; the least solution where S of any is singular, which must not stop the others."""
+    try:
+        return np.linalg.solve(S, b)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(S, hermitian=True) @ b
 
 
 def one_point(
     first_covariance: Float[np.ndarray, "n_y n_y"],
-    measurement: Float[np.ndarray, " n_z"],
+    measurement: Float[np.ndarray, "n n_z"],
     H: Float[np.ndarray, "n_z n_y"],
-    V: Float[np.ndarray, "n_z n_z"],
-) -> tuple[Float[np.ndarray, " n_y"], Float[np.ndarray, "n_y n_y"]]:
-    """Mean and covariance from one measurement: H^+ z, H^+ V H^+T + N P_0 N^T with N = I - H^+ H."""
+    V: Float[np.ndarray, "n n_z n_z"],
+) -> tuple[Means, Covariances]:
+    """Means and covariances from one measurement each: H^+ z, H^+ V H^+T + N P_0 N^T with N = I - H^+ H."""
     back = np.linalg.pinv(H)
     rest = np.eye(len(back)) - back @ H
-    return back @ measurement, back @ V @ back.T + rest @ first_covariance @ rest.T
+    return measurement @ back.T, back @ V @ back.T + rest @ first_covariance @ rest.T
 
 
 def condition_on_missed_detection(
@@ -90,19 +98,29 @@ def condition_on_missed_detection(
     Z: Float[np.ndarray, "d n_y"],
     view: FieldOfView,
     pose: Float[np.ndarray, "..."],
+    before: Float[np.ndarray, "..."] | None = None,
 ) -> tuple[Float[np.ndarray, " n_y"], Float[np.ndarray, "n_y n_y"]]:
-    """Mean and covariance of a target that was not in view from this pose.
+    """Mean and covariance of a target that was not in view from this pose; those given where float32 cannot say more.
 
-    This calls `models.missed_detection` for one target, so that one compilation serves any number of them.
+    `before` is the pose of the previous look, if that missed the target too: what it showed is not cut again. This
+    calls `models.missed_detection` for one target, so that one compilation serves any number of them.
     """
-    arrays = (mean, np.linalg.inv(covariance), Z, rotation(pose), positions(pose))
-    outside = _given_missed_detection(view, *(jnp.asarray(x, float) for x in arrays))
-    return np.asarray(outside.mean, float), np.linalg.inv(outside.information)
+    last = pose if before is None else before
+    poses = (part(each) for each in (pose, last) for part in (rotation, positions))
+    arrays = (mean, np.linalg.inv(covariance), Z, *poses)
+    outside = _given_missed_detection(view, [jnp.asarray(x, float) for x in arrays], jnp.asarray(before is not None))
+    moved, information = np.asarray(outside.mean, float), np.asarray(outside.information, float)
+    if not (np.isfinite(moved).all() and np.isfinite(information).all() and np.linalg.eigvalsh(information)[0] > 0):
+        return mean, covariance
+    return moved, np.linalg.inv(information)
 
 
 @eqx.filter_jit
-def _given_missed_detection(view: FieldOfView, mean: Array, information: Array, Z: Array, R: Array, t: Array) -> Belief:
+def _given_missed_detection(view: FieldOfView, arrays: list[Array], was_missed: Bool[Array, ""]) -> Belief:
+    mean, information, Z, R, t, last_R, last_t = arrays
+
     def is_inside(points_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
-        return view.contains((points_world - t) @ R)
+        known = was_missed & view.contains((points_world - last_t) @ last_R)
+        return view.contains((points_world - t) @ R) & ~known
 
     return missed_detection.condition_on_missed_detection(Belief(mean, information), Z, is_inside)

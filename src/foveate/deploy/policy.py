@@ -1,47 +1,57 @@
-"""Trained policy for a robot: maps beliefs and a pose to a command in m/s and rad/s."""
+"""Policies for a robot: map beliefs and a pose to a command in m/s and rad/s."""
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from foveate.deploy.belief import Belief, observation, predicted
+from foveate.deploy.belief import LARGEST, Belief, check_belief, observation, predicted, whole_steps
+from foveate.deploy.decider import Decider
 from foveate.deploy.onnx.export import export
+from foveate.deploy.pose import QuaternionOrder, checked_pose
 from foveate.errors import InputError
+from foveate.evaluation.verdict import Verdict, write_verdict
 from foveate.experiment.checkpoint import save_tree, write_config
-from foveate.experiment.resolve import Trained
+from foveate.experiment.resolve import NamedPolicy, in_scenario, told
 from foveate.experiment.run_folder import BEST
-from foveate.geometry.space import Space
-from foveate.models.agent import Agent
 from foveate.models.problem import Problem
+from foveate.names import Objective, ProtocolName
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.records import Observation, Policy
+from foveate.scenario.scenes import MAX_LENGTH, Scene
 
+if TYPE_CHECKING:
+    from foveate.plotting.simulated import SimulatedEpisode
+
+ODD = 1.25
+"""A step this many times as long, or as short, as those of training is worth a warning."""
 LEAST_PADDING = 8
 """A decision is compiled for at least 8 targets, and again whenever their number exceeds a power of two."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
-class TrainedPolicy(Trained):
-    """A policy and its training; from `foveate.load` or `foveate.train`.
+class RobotPolicy(NamedPolicy):
+    """A policy that decides for a robot, on beliefs of your own; from `foveate.heuristic` or `foveate.planner`.
 
         command = policy(belief, pose)
 
-    `network` is the policy in JAX, for simulations and derivatives, `experiment` the definition of its training, and
-    `facts` the result (seed, epoch and held-out score of the weights kept).
+    `network` is the policy in JAX, for simulations and derivatives, `experiment` holds its scenario. A policy with a
+    memory keeps it from call to call: the calls are the steps of one episode, and a row of the beliefs stays the same
+    target. `reset()` begins the next episode.
     """
 
-    facts: dict[str, Any]
+    seed: int = 0
+    """Seed of random decisions."""
 
     @property
     def scenario(self) -> Scenario:
-        """Scenario of its training."""
+        """Scenario that it decides in: of its training, or as given."""
         return self.experiment.scenario
 
     @cached_property
@@ -56,8 +66,33 @@ class TrainedPolicy(Trained):
 
     @property
     def steps_left(self) -> int:
-        """Steps to the end in the middle of a training episode, the default for a robot without an end."""
+        """Steps to the end in the middle of the scenario's episodes, the default for a robot without an end."""
         return self.scenario.scenes.middle_steps_left
+
+    @cached_property
+    def _decider(self) -> Decider:
+        return Decider(self.network, self.problem.agent, self.seed)
+
+    def reset(self) -> None:
+        """Forget all decisions: the next one is the first of an episode."""
+        self._decider.reset()
+
+    def simulate(
+        self, scene: Scene | None = None, *, protocol: ProtocolName = "true", seed: int = 0
+    ) -> "SimulatedEpisode":
+        """Simulate one episode, as `foveate.evaluate` does; it has `plot` and `animate`.
+
+        Args:
+            scene: Scene; None: the first of the scenario's own.
+            protocol: Information from the paper's soft view (surrogate), or from real measurements (true).
+            seed: Seed of the noise.
+
+        Raises:
+            InputError: An argument is invalid, or the scene does not fit the scenario.
+        """
+        from foveate.plotting.simulated import simulate  # a robot needs no matplotlib
+
+        return simulate(self, scene, protocol, seed)
 
     def predict(self, belief: Belief, known_input: ArrayLike | None = None, step: int = 0) -> Belief:
         """Belief one control period ahead, by the scenario's motion: the input of a decision.
@@ -66,31 +101,83 @@ class TrainedPolicy(Trained):
         """
         return predicted(belief, self.problem, known_input, step)
 
-    def __call__(self, belief: Belief, pose: ArrayLike, steps_left: int | None = None) -> Float[np.ndarray, " m"]:
+    def __call__(
+        self, belief: Belief, pose: ArrayLike, steps_left: int | None = None, *, quaternion: QuaternionOrder = "wxyz"
+    ) -> Float[np.ndarray, " m"]:
         """Decide on a command: the numbers that `axes` names [m/s, rad/s]; for a differential drive, [v, w].
 
         `belief` is predicted to the end of the coming step, by `predict`, or by a tracker's own; it may hold any number
         of targets, none included. `pose` is the current one: [x, y, yaw], or in space the 4 x 4 matrix from body to
-        world, or [x, y, z, qw, qx, qy, qz] (m, rad). `steps_left` until the end include the coming one; by default they
-        are those in the middle of a training episode. Raises InputError for a pose or belief that does not fit the
-        scenario.
+        world, or [x, y, z, qw, qx, qy, qz] (m, rad), also in the plane; ROS gives [x, y, z, qx, qy, qz, qw], which is
+        another pose: say `quaternion="xyzw"`. `steps_left` until the end include the coming one; by default they
+        are those in the middle of an episode. Targets beyond 1e9 m, or of extreme variances, are left out: no number of
+        theirs may spoil the command for the others. Warns where the belief was predicted over a step of another length
+        than the policy was trained for. Raises InputError for a pose or belief that does not fit the scenario.
         """
-        left = self.steps_left if steps_left is None else steps_left
-        if left < 1 or left != int(left):
-            raise InputError(f"steps_left = {steps_left}: expected a whole number >= 1")
+        check_belief(belief)
+        left = whole_steps("steps_left", self.steps_left if steps_left is None else steps_left, 1)
         size = max(LEAST_PADDING, 1 << (len(belief.mean) - 1).bit_length())
-        observed = observation(belief, self.problem, _pose(self.problem.agent.space, pose), left, size)
-        command = np.array(_decide(self.network, self.problem.agent, observed))
+        here = checked_pose(pose, self.scenario.dimension, quaternion)
+        self._warn_of_period(belief)
+        observed = observation(_without_extremes(belief), self.problem, here, left, size)
+        command = self._decider.command(observed)
         if not np.isfinite(command).all():
             raise InputError("belief, pose: expected numbers that float32 can hold, also squared")
         return command
+
+    def _warn_of_period(self, belief: Belief) -> None:
+        lengths = self.scenario.schedule.tau_s or (self.scenario.tau_s,)
+        if belief.step_s is None or min(lengths) / ODD <= belief.step_s <= max(lengths) * ODD:
+            return
+        warnings.warn(
+            f"{self.name}: decides for a step of {self.scenario.tau_s:g} s; the belief was predicted over "
+            f"{belief.step_s:g} s: run the loop at its period, or train for yours (tau_s)",
+            stacklevel=3,
+        )
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r}: {self._body})"
+
+    @property
+    def _body(self) -> str:
+        """The robot in words."""
+        scenario = self.scenario
+        return (
+            f"{scenario.agent.kind}, {scenario.view.shape} view of {scenario.view.depth_m:g} m, "
+            f"a command [{', '.join(self.axes)}] every {scenario.tau_s:g} s"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class TrainedPolicy(RobotPolicy):
+    """A policy and its training; from `foveate.load` or `foveate.train`.
+
+        command = policy(belief, pose)
+
+    It decides as every `RobotPolicy`. `experiment` is the definition of its training, and `facts` the result (seed,
+    epoch and held-out score of the weights kept). `verdict` compares it with every heuristic and a planner; None if the
+    training had none.
+    """
+
+    facts: dict[str, Any]
+    verdict: Verdict | None = None
+
+    def for_scenario(self, scenario: Scenario, objective: Objective | None = None) -> "TrainedPolicy":
+        """The same network in another scenario, without a training: another robot, other targets.
+
+        A pointer network is told its robot and takes every one of its space; the preset "any" was trained with random
+        robots. `objective` is what it is told to do; None keeps that of its training, or for "any" the score at the end
+        of short episodes, and the mean over the steps of long ones. Raises InputError for a scenario that does not fit.
+        """
+        experiment = in_scenario(self.experiment, scenario, objective)
+        return replace(self, experiment=experiment, network=told(self.network, experiment), verdict=None)
 
     def export(self, path: str | Path) -> None:
         """Write an ONNX file, for a robot without JAX (extra `onnx`), as `foveate export`."""
         export(self.experiment, self.network, Path(path))
 
     def save(self, folder: str | Path) -> None:
-        """Write a run folder for `foveate.load` and the commands: configuration and weights.
+        """Write a run folder for `foveate.load` and the commands: configuration, weights and verdict.
 
         Raises InputError for a folder that is not empty.
         """
@@ -100,30 +187,23 @@ class TrainedPolicy(Trained):
         (out / BEST).parent.mkdir(parents=True, exist_ok=True)
         write_config(out, self.experiment)
         save_tree(out / BEST, self.network, self.experiment, "policy", self.facts)
+        if self.verdict is not None:
+            write_verdict(out, self.verdict)
 
     def __repr__(self) -> str:
         weights = sum(leaf.size for leaf in jax.tree.leaves(self.network) if eqx.is_array(leaf))
-        scenario, scenes = self.scenario, self.scenario.scenes
-        targets = f"{scenes.targets_min} to {scenes.targets_max} targets ({scenario.target.kind})"
+        scenes, kind = self.scenario.scenes, self.experiment.policy.kind
+        targets = f"{scenes.targets_min} to {scenes.targets_max} targets ({self.scenario.target.kind})"
         return (
-            f"TrainedPolicy({self.name!r}: {self.experiment.policy.kind} network of {weights:,} weights; trained for "
-            f"{targets}, {scenario.agent.kind}, {scenario.view.shape} view of {scenario.view.depth_m:g} m, "
-            f"a command [{', '.join(self.axes)}] every {scenario.tau_s:g} s)"
+            f"TrainedPolicy({self.name!r}: {kind} network of {weights:,} weights; decides for {targets}, {self._body})"
         )
 
 
-@eqx.filter_jit
-def _decide(policy: Policy, agent: Agent, observed: Observation) -> Float[Array, " m"]:
-    return agent.control(policy(observed, policy.start(observed), jax.random.key(0))[0])
-
-
-def _pose(space: Space, pose: ArrayLike) -> Float[np.ndarray, "..."]:
-    """Checked pose in the representation of a space, from its matrix or from numbers as in files."""
-    T = np.array(pose, float)
-    if space.dimension == 2 or T.shape != (4, 4):
-        return np.asarray(space.from_numbers(T))
-    R = T[:3, :3]
-    proper = np.isfinite(T).all() and np.abs(R @ R.T - np.eye(3)).max() < 1e-3 and np.linalg.det(R) > 0
-    if not proper or np.any(T[3] != [0, 0, 0, 1]):
-        raise InputError(f"pose = {T.tolist()}: expected a homogeneous matrix: a rotation, a position, [0, 0, 0, 1]")
-    return T
+def _without_extremes(belief: Belief) -> Belief:
+    """Belief in which targets far beyond any scene, or of extreme variances, count as padding."""
+    scale = np.abs(belief.information).max(axis=(1, 2))
+    usable = (np.abs(belief.mean) <= MAX_LENGTH).all(axis=1) & (scale <= LARGEST) & (scale >= 1.0 / LARGEST)
+    if usable.all():
+        return belief
+    present, given = belief.present & usable, belief.known_input
+    return Belief(belief.mean, information=belief.information, present=present, known_input=given, step_s=belief.step_s)

@@ -1,4 +1,8 @@
-"""Bounds of every score: never seeing anything, and the omniscient planner.
+"""References of every score: never seeing anything, a lower bound, and the omniscient planner.
+
+The planner's plan is a local optimum, so its score is a reference and no upper bound: annealing gains 0.06 nat per
+target, the best plans known 0.17 (0.2 with 7 targets), and a normalised score above 1 is possible. Normalised scores of
+different numbers of targets differ by 0.01 to 0.02 from that alone.
 
 normalised_score = (score - lower bound) / (omniscient - lower bound).
 """
@@ -50,7 +54,7 @@ def lower_bounds(problem: Problem, scenes: Sequence[Scene]) -> dict[Cell, float]
 
 
 def normalised_score(value: float, lowest: float, highest: float) -> float:
-    """Fraction of the way from the lower bound (0) to the omniscient planner (1)."""
+    """Fraction of the way from the lower bound (0) to the omniscient planner (1), a reference and no upper bound."""
     return (value - lowest) / (highest - lowest)
 
 

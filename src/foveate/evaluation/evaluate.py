@@ -4,7 +4,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import equinox as eqx
@@ -13,15 +13,19 @@ import numpy as np
 
 from foveate.evaluation.metrics import measures
 from foveate.learning.devices import cores
+from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
-from foveate.scenario.scenes import Scene, SceneSettings
-from foveate.simulation.records import PROTOCOLS, Episode, Policy, Protocol, Trace, Truth, observe
+from foveate.models.robot import Robot
+from foveate.names import Objective
+from foveate.scenario.scenes import Scene, SceneSettings, checked
+from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, Protocol, Trace, Truth, observe
 from foveate.simulation.rollout import rollout
 from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
 
-EPISODES_PER_CHUNK = 256
-"""Episodes in a batch: bounds memory, and every suite runs the same compiled program."""
+EPISODES_PER_CHUNK = 48
+"""Episodes in a batch: every suite runs the same compiled program, and the built-in ones of 90 and 180 episodes, which
+that hardly pads, leave work for every core. Other sizes round differently."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +36,9 @@ class Row:
     without targets. `seen_fraction`: targets measured at least once; `seen_step_fraction`: measured targets among all
     targets of all steps; `longest_unseen_s`: the longest time without a measurement of any target. `rmse_m` and `nees`
     (consistent: the state's length) at the horizon, over all targets, over those seen and over those never seen (None
-    without such targets). `step_time_s`: a single compiled decision on this machine.
+    without such targets). `step_time_s`: a single compiled decision on this machine. `objective`: score by what the
+    experiment trains for: `score`, its mean over the steps, or `seen_step_fraction`; None if it trains for nothing.
+    `contacts`: steps that an obstacle has ended; None without obstacles.
     """
 
     scene: str
@@ -54,11 +60,17 @@ class Row:
     nees_seen: float | None
     nees_unseen: float | None
     step_time_s: float
+    objective: float | None = None
+    contacts: int | None = None
+
+    def record(self) -> dict[str, Any]:
+        """All fields as plain values; `contacts` only among obstacles."""
+        return {name: value for name, value in asdict(self).items() if name != "contacts" or value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Scenes with their noise, the same for every method."""
+    """Scenes with their noise, the same for every method; rows have a score by the `objective`, if there is one."""
 
     problem: Problem
     scenes: tuple[Scene, ...]
@@ -66,10 +78,16 @@ class Suite:
     seed: int
     episodes: Episode
     truth: Truth
+    objective: Objective | None = None
 
 
 def prepare(
-    problem: Problem, settings: SceneSettings, scenes: Sequence[Scene], seed: int = 0, episodes: int = 1
+    problem: Problem,
+    settings: SceneSettings,
+    scenes: Sequence[Scene],
+    seed: int = 0,
+    episodes: int = 1,
+    objective: Objective | None = None,
 ) -> Suite:
     """Prepare a suite: scenes with the noise of their episodes, drawn from (seed, scene id, episode).
 
@@ -79,16 +97,27 @@ def prepare(
         scenes: Scenes of the suite.
         seed: Seed of the noise.
         episodes: Episodes per scene.
+        objective: Objective of a training, by which rows are scored too.
     """
+    if not all(scene.horizon and len(scene.drift) == len(scene.targets) for scene in scenes):
+        scenes = checked(scenes, problem.agent.space, settings)
+    warn_of_rounding(problem, max(scene.horizon or 0 for scene in scenes))
     drawn = scene_episodes(problem, settings, scenes, seed, episodes)
     assert drawn.truth is not None, "scene_episodes always draws the truth"
     return Suite(
-        problem=problem, scenes=tuple(scenes), episodes_per_scene=episodes, seed=seed, episodes=drawn, truth=drawn.truth
+        problem=problem,
+        scenes=tuple(scenes),
+        episodes_per_scene=episodes,
+        seed=seed,
+        episodes=drawn,
+        truth=drawn.truth,
+        objective=objective,
     )
 
 
 @eqx.filter_jit
-def _run(problem: Problem, policy: Policy, episodes: Episode, protocol: Protocol, keys) -> Trace:
+def _run(problem: Problem, policy: Policy, protocol: Protocol, episodes: Episode, key_data: jax.Array) -> Trace:
+    keys = jax.random.wrap_key_data(key_data)
     return jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
 
 
@@ -117,11 +146,13 @@ def evaluate_traces(
     Each core runs batches of `chunk` episodes; `report` takes the number of completed episodes.
     """
     count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
+    # Slices of numpy arrays need no compiled programs.
+    inputs = jax.tree.map(np.asarray, (suite.episodes, jax.random.key_data(keys)))
 
     def run(first: int) -> Trace:
         # Copies of the last episode fill the last chunk: every chunk then runs the same compiled program.
         rows = np.minimum(np.arange(first, first + chunk), count - 1)
-        trace = _run(suite.problem, policy, jax.tree.map(lambda x: x[rows], suite.episodes), protocol, keys[rows])
+        trace = _run(suite.problem, policy, protocol, *jax.tree.map(lambda x: x[rows], inputs))
         return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
 
     parts = []
@@ -132,6 +163,13 @@ def evaluate_traces(
     return jax.tree.map(lambda *pieces: np.concatenate(pieces), *parts)
 
 
+@eqx.filter_jit
+def _first_observation(problem: Problem, episode: Episode) -> Observation:
+    problem = problem.of_map(episode.map_number)
+    predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), episode.inputs[0])
+    return observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem))
+
+
 def decision_time(
     problem: Problem, policy: Policy, episode: Episode, repeats: int = 30, with_start: bool = False
 ) -> float:
@@ -139,9 +177,7 @@ def decision_time(
 
     `with_start` adds each decision's share of the policy's start, for planners that plan there.
     """
-    steps = jax.tree.map(lambda x: x[0], episode.inputs)
-    predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), steps)
-    observation, key = observe(predicted, steps, episode.horizon), jax.random.key(0)
+    observation, key = _first_observation(problem, episode), jax.random.key(0)
     arrays, static = eqx.partition(policy, eqx.is_array)
     begin = jax.jit(lambda arrays, observation: eqx.combine(arrays, static).start(observation))
     decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen))
@@ -167,7 +203,7 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
     protocols = tuple(protocols)
     with ThreadPoolExecutor() as pool:  # compilation, most of the wait, runs side by side
         traces = list(pool.map(lambda name: evaluate_traces(suite, policy, PROTOCOLS[name]), protocols))
-    step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: x[0], suite.episodes))
+    step_time = decision_time(suite.problem, policy, jax.tree.map(lambda x: np.asarray(x)[0], suite.episodes))
     times = [step_time] * len(suite.truth.state)
     return [
         row
@@ -178,20 +214,20 @@ def evaluate(suite: Suite, method: str, policy: Policy, protocols: Iterable[str]
 
 def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_times: Sequence[float]) -> list[Row]:
     """Rows of the traces of a method, one an episode; `step_times` [s] are those of a decision in each episode."""
-    truth = np.asarray(suite.truth.state)
-
-    def row(i: int, step_time: float) -> Row:
-        scene = suite.scenes[i // suite.episodes_per_scene]
-        return Row(
+    count = suite.episodes_per_scene
+    scenes = [scene for scene in suite.scenes for _ in range(count)]
+    measured = measures(suite.problem, trace, np.asarray(suite.truth.state), scenes, suite.objective)
+    return [
+        Row(
             scene=scene.id,
-            episode=i % suite.episodes_per_scene,
+            episode=i % count,
             seed=suite.seed,
             method=method,
             protocol=protocol,
             motion=scene.motion,
             targets=len(scene.targets),
             step_time_s=step_time,
-            **measures(suite.problem, jax.tree.map(lambda x: x[i], trace), truth[i], scene),
+            **numbers,
         )
-
-    return [row(i, step_time) for i, step_time in enumerate(step_times)]
+        for i, (scene, numbers, step_time) in enumerate(zip(scenes, measured, step_times, strict=True))
+    ]

@@ -5,39 +5,78 @@ as degrees of freedom (Bar-Shalom, Li & Kirubarajan 2001, section 5.4).
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from foveate.models.belief import entropy
 from foveate.models.problem import Problem
+from foveate.names import Objective
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Trace
 
 Z95 = 1.959963984540054
 
+MEANINGS: dict[Objective, str] = {
+    "terminal": "log det at the end [nat per target]",
+    "mean": "mean log det over the steps [nat per target]",
+    "seen": "share of time in view",
+}
+"""Scores by the objectives of a training, in words."""
+DIGITS: dict[Objective, int] = {"terminal": 2, "mean": 2, "seen": 3}
+"""Digits after the point to show them with."""
+
 
 def measures(
-    problem: Problem, trace: Trace, truth: Float[np.ndarray, "instants n n_y"], scene: Scene
-) -> dict[str, Any]:
-    """Measure one episode, padded or not, for its `evaluation.Row`."""
-    n, K, n_y = len(scene.targets), scene.horizon, problem.motion.state_size
-    visible, log_det = np.asarray(trace.visible[:K, :n]), np.asarray(trace.log_det[K - 1, :n], float)
-    seen = np.asarray(visible.any(axis=0))
-    error = np.asarray(trace.mean[K, :n], float) - np.asarray(truth[K, :n], float)
+    problem: Problem,
+    trace: Trace,
+    truth: Float[np.ndarray, "rows instants n n_y"],
+    scenes: Sequence[Scene],
+    objective: Objective | None = None,
+) -> list[dict[str, Any]]:
+    """Measure episodes, padded or not, each of its own scene, for their rows of an evaluation."""
+    counts = np.array([len(scene.targets) for scene in scenes])
+    horizons = np.array([scene.horizon for scene in scenes])
+    episodes, last = np.arange(len(scenes)), horizons[:, None]
+    steps, n = trace.visible.shape[1:]
+    counted = (np.arange(steps) < last)[..., None] & (np.arange(n) < counts[:, None])[:, None]
+    visible = np.asarray(trace.visible) & counted
+    unseen_s = longest_run(np.moveaxis(counted & ~visible, 1, 0), problem.step_lengths_s(steps)).max(axis=-1)
+    seen, looks = np.asarray(visible.any(axis=1)), visible.sum(axis=(1, 2))
+    error = np.asarray(trace.mean[episodes, horizons], float) - np.asarray(truth[episodes, horizons], float)
     # Float32 would lose digits of e^T Y e: a well-seen target has an information of 1e3 and more.
-    information = np.asarray(trace.information[K, :n], float)
+    consistency = nees(error, np.asarray(trace.information[episodes, horizons], float))
     squared_error = squared_position_error(error, np.asarray(problem.motion.Z, float))
-    return {
-        "score": float(mean_log_det(log_det, np.ones(n, bool))) if n else None,
-        "entropy": float(np.mean(entropy(jnp.asarray(log_det), n_y))) if n else None,
-        "seen_fraction": mean_or_zero(seen),
-        "seen_step_fraction": mean_or_zero(visible),
-        "longest_unseen_s": float(longest_run(~visible, problem.step_lengths_s(K)).max(initial=0.0)),
-        **error_measures(squared_error, nees(error, information), seen),
-    }
+    log_det, n_y = np.asarray(trace.log_det[episodes, horizons - 1], float), problem.motion.state_size
+
+    def row(i: int) -> dict[str, Any]:
+        own = slice(counts[i])
+        score = float(log_det[i, own].mean()) if counts[i] else None
+        in_view = float(looks[i] / max(1, counts[i] * horizons[i]))
+        over_steps = np.asarray(trace.log_det[i, : horizons[i], own], float)
+        return {
+            "score": score,
+            "entropy": None if score is None else entropy(score, n_y),
+            "seen_fraction": mean_or_zero(seen[i, own]),
+            "seen_step_fraction": in_view,
+            "longest_unseen_s": float(unseen_s[i]),
+            **error_measures(squared_error[i, own], consistency[i, own], seen[i, own]),
+            "objective": None if score is None else _by_objective(objective, score, over_steps, in_view),
+            "contacts": None if trace.contacts is None else int(trace.contacts[i, horizons[i] - 1]),
+        }
+
+    return [row(i) for i in range(len(scenes))]
+
+
+def _by_objective(
+    objective: Objective | None, score: float, log_det: Float[np.ndarray, "K n"], in_view: float
+) -> float | None:
+    """Score by the objective of a training [nat per target, or share of time in view]."""
+    if objective == "mean":
+        return float(log_det.mean())
+    return {None: None, "terminal": score, "seen": in_view}[objective]
 
 
 def mean_or_zero(values: Float[np.ndarray, "*m"] | Bool[np.ndarray, "*m"]) -> float:
@@ -76,9 +115,9 @@ def error_measures(
     return measures
 
 
-def longest_run(flags: Bool[np.ndarray, "K n"], lengths: Float[np.ndarray, " K"]) -> Float[np.ndarray, " n"]:
+def longest_run(flags: Bool[np.ndarray, "K *n"], lengths: Float[np.ndarray, " K"]) -> Float[np.ndarray, "*n"]:
     """The longest run of true values in each column, with the `lengths` of the rows."""
-    longest = current = np.zeros(flags.shape[1])
+    longest = current = np.zeros(flags.shape[1:])
     for row, length in zip(flags, lengths, strict=True):
         current = np.where(row, current + length, 0.0)
         longest = np.maximum(longest, current)

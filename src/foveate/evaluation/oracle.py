@@ -119,9 +119,14 @@ def omniscient_rows(suite: Suite, protocol: str, plans: Plans) -> list[Row]:
     rows = episode_rows(suite, "omniscient", protocol, jax.tree.map(np.asarray, trace), list(plans.seconds / horizons))
     n_y = suite.problem.motion.state_size
     return [
-        row if row.score is None else replace(row, score=float(value), entropy=float(entropy(jnp.asarray(value), n_y)))
-        for row, value in zip(rows, plans.score, strict=True)
+        row if row.score is None else _rescored(row, value, entropy(value, n_y), suite)
+        for row, value in zip(rows, plans.score.tolist(), strict=True)
     ]
+
+
+def _rescored(row: Row, score: float, entropy: float, suite: Suite) -> Row:
+    objective = score if suite.objective == "terminal" else row.objective
+    return replace(row, score=score, entropy=entropy, objective=objective)
 
 
 @eqx.filter_jit
@@ -139,6 +144,7 @@ def _future(problem: Problem, episode: Episode) -> Future:
         information=jax.vmap(lambda Y: belief.predict_information(Y, problem.motion))(first),
         present=episode.present,
         horizon=episode.horizon,
+        map_number=episode.map_number,
     )
 
 
@@ -202,7 +208,7 @@ def _key(suite: Suite, protocol: str, settings: PlanSettings) -> str:
         "version": [__version__, VERSION],
         "protocol": protocol,
         "settings": asdict(settings),
-        "scenes": [asdict(scene) for scene in suite.scenes],
+        "scenes": [scene.record() for scene in suite.scenes],
         "episodes": [suite.seed, suite.episodes_per_scene],
         "structure": str(structure),
         "arrays": [[array.dtype.str, array.shape] for array in arrays],

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from foveate.errors import InputError
@@ -12,10 +13,13 @@ from foveate.evaluation.planners import WINDOW, planner, planner_rows
 from foveate.evaluation.report import Evaluation, evaluation, rows_by_protocol
 from foveate.evaluation.summary import summarise
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.resolve import NamedPolicy, experiment_from, subject_of
 from foveate.io.validate import check_count
 from foveate.models.problem import Problem
+from foveate.names import Objective
 from foveate.planning.receding import OpenLoop
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
+from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Policy
 
@@ -71,6 +75,28 @@ class PlanOptions:
         return planner(problem, self.settings(protocol), horizon, self.window or WINDOW, policy)
 
 
+def online_planner(method: str) -> PlanOptions | None:
+    """Planner of the name icr, icr-STARTS or refine-STEPS; None for others. Raises InputError for a number below 1."""
+    kind, dash, number = method.partition("-")
+    if kind not in ("icr", "refine") or (dash and not number.isdecimal()) or (kind == "refine" and not dash):
+        return None
+    count = int(number) if dash else None
+    return PlanOptions(refine=count) if kind == "refine" else PlanOptions(starts=count)
+
+
+def planning_subject(
+    experiment: Scenario | Experiment | str | Path, run: NamedPolicy | str | Path | None, refine: int | None
+) -> tuple[Experiment, Policy | None, str | None, Objective | None]:
+    """Resolve the experiment to plan in, the policy to refine, the name of the run, and the objective of training."""
+    if refine is not None and run is None:
+        raise InputError(f"refine {refine}: expected the policy to refine: give run")
+    if run is None:
+        settings = experiment_from(experiment)
+        return settings, None, None, None if isinstance(experiment, Scenario) else settings.training.objective
+    subject = subject_of(run)
+    return subject.experiment, None if refine is None else subject.network(), subject.name, subject.objective
+
+
 def evaluate_plans(
     experiment: Experiment,
     options: PlanOptions,
@@ -82,14 +108,15 @@ def evaluate_plans(
     policy: Policy | None = None,
     episodes: int = 1,
     seed: int = 0,
+    objective: Objective | None = None,
     quiet: bool = False,
 ) -> Evaluation:
     """Plan on every scene under each protocol: rows and summary as those of policies.
 
-    `policy` is the one to refine, `chosen` the name of the scenes.
+    `policy` is the one to refine, `chosen` the name of the scenes; rows are scored by the `objective`, too.
     """
     problem, scene_settings = experiment.scenario.problem(), experiment.scenario.scenes
-    suite = prepare(problem, scene_settings, scenes, seed, episodes)
+    suite = prepare(problem, scene_settings, scenes, seed, episodes, objective)
 
     def rows_of(protocol: str, on_progress: OnProgress) -> list[Row]:
         if options.omniscient:

@@ -6,7 +6,6 @@ from functools import partial
 from threading import Lock
 
 import jax
-import jax.numpy as jnp
 
 from foveate.evaluation.evaluate import Row, Suite, decision_time, episode_rows, evaluate_traces, prepare
 from foveate.io.grouping import group_by
@@ -31,9 +30,7 @@ def planner(
     problem: Problem, settings: PlanSettings, horizon: int, window: int = WINDOW, policy: Policy | None = None
 ) -> Receding:
     """Make the receding-horizon planner for episodes of `horizon` steps; with a policy, it refines that one's plan."""
-    return Receding(
-        problem=problem, settings=settings, window=min(window, horizon), horizon=jnp.array(horizon), policy=policy
-    )
+    return Receding(problem=problem, settings=settings, window=min(window, horizon), policy=policy)
 
 
 def planner_rows(
@@ -52,7 +49,8 @@ def planner_rows(
     """
     sizes = group_by(suite.scenes, lambda scene: (len(scene.targets), scene.horizon))
     episodes = suite.episodes_per_scene
-    suites = {size: prepare(suite.problem, settings, scenes, suite.seed, episodes) for size, scenes in sizes.items()}
+    rest = (suite.seed, episodes, suite.objective)
+    suites = {size: prepare(suite.problem, settings, scenes, *rest) for size, scenes in sizes.items()}
     done, lock = dict.fromkeys(sizes, 0), Lock()
 
     def report(size: Size, count: int) -> None:

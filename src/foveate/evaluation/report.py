@@ -4,18 +4,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
 from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
 from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.summary import Summary, summarise, write_result
+from foveate.evaluation.summary_table import summary_table, summary_tables
 from foveate.experiment.experiment import Experiment
 from foveate.io.progress import Bar
-from foveate.io.tables import Table, html, text
+from foveate.io.tables import Table, counted, html, text
 from foveate.io.toml import digest
+from foveate.names import Objective
 from foveate.scenario.scenes import Scene, scenes_digest
 from foveate.simulation.records import Policy
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -34,15 +40,52 @@ class Evaluation:
 
     @property
     def table(self) -> Table:
-        """The summary as text."""
-        return summary_table(self.title, self.summary)
+        """The summary in one table."""
+        return summary_table(self.title, self.summary, self.facts["objective"])
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """The summary in a table a protocol, as it is printed."""
+        return summary_tables(self.title, self.summary, self.facts["objective"])
 
     def to_json(self, path: str | Path) -> None:
         """Write rows and summary for programs, as `foveate evaluate --json`."""
         write_result(path, self.rows, self.summary, self.facts)
 
+    def to_pandas(self, rows: bool = False) -> "pandas.DataFrame":
+        """Return the summary, or the rows, as a pandas DataFrame of plain numbers and texts.
+
+        Intervals are two columns, `ci95_low` and `ci95_high`; what is missing is NaN.
+
+        Args:
+            rows: One line an episode, in place of one a cell.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        try:
+            import pandas  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise ImportError("Evaluation.to_pandas needs pandas: pip install pandas") from error
+        from foveate.evaluation.figure import flat
+
+        return pandas.DataFrame([flat(record) for record in (self.rows if rows else self.summary)])
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the scores with their intervals, a column a cell, a colour a method.
+
+        Args:
+            ax: Axes of matplotlib to draw in; None: new ones.
+
+        Returns:
+            The axes: `ax.figure.savefig("scores.pdf")`.
+        """
+        from foveate.evaluation.figure import draw_summary  # matplotlib takes a second to import
+
+        return draw_summary(self.summary, ax)
+
     def __repr__(self) -> str:
-        return text(self.table)
+        return "\n\n".join(map(text, self.tables))
 
     def _repr_html_(self) -> str:
         return html(self.table)
@@ -58,29 +101,32 @@ def evaluate_all(
     protocols: Sequence[str],
     episodes: int = 1,
     seed: int = 0,
+    objective: Objective | None = None,
     normalised: bool = False,
     quiet: bool = False,
 ) -> Evaluation:
     """Run every policy, by its method's name, on the same scenes with the same noise, under each protocol.
 
-    With `normalised`, run the omniscient planner too: that takes minutes, once. Raises InputError for a problem that
-    it does not bound.
+    Rows are scored by the `objective`, too. With `normalised`, run the omniscient planner too: that takes minutes,
+    once. Raises InputError for a problem that it does not bound.
     """
     problem = experiment.scenario.problem()
     # Before anything long begins, as it rejects problems without bounds.
     lower = lower_bounds(problem, scenes) if normalised else {}
-    suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes)
+    suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes, objective)
     rows: list[Row] = []
     with Bar("evaluating", len(policies), "methods", quiet) as bar:
         for done, (name, policy) in enumerate(policies.items()):
             bar.update(done, name)
             rows += evaluate(suite, name, policy, protocols)
+        bar.update(len(policies))
     summary = summarise(rows, problem.motion.state_size)
     if normalised:
         count = len(scenes) * episodes
         oracle = rows_by_protocol("omniscient plans", count, protocols, partial(oracle_rows, suite), quiet)
         summary = with_normalised_scores(summary, summarise(oracle, problem.motion.state_size), lower)
-    facts = {**facts, "initial_error": experiment.scenario.scenes.initial_error}
+    settings = experiment.scenario.scenes
+    facts = {**facts, "initial_error": settings.initial_error, "first_error_std": settings.first_error_std}
     return evaluation(title, facts, experiment, suite, rows, summary)
 
 
@@ -89,8 +135,9 @@ def evaluation(
 ) -> Evaluation:
     """Make the record of an evaluation, with the facts of its origin."""
     origin = {"experiment": digest(experiment), "scenes_digest": scenes_digest(suite.scenes), "seed": suite.seed}
+    origin["objective"] = suite.objective
     return Evaluation(
-        title=f"{title}: score per target [nat], {suite.episodes_per_scene} episode(s) a scene",
+        title=f"{title}: {counted(len(suite.scenes), 'scene')}, {counted(suite.episodes_per_scene, 'episode')} each",
         facts={**facts, **origin},
         rows=tuple(rows),
         summary=tuple(summary),
@@ -107,33 +154,3 @@ def rows_by_protocol(
         for i, protocol in enumerate(protocols):
             rows += rows_of(protocol, lambda done, before=i * count: bar.update(before + done))
     return rows
-
-
-COLUMNS: dict[str, Callable[[Summary], str]] = {
-    "method": lambda cell: cell.method,
-    "protocol": lambda cell: cell.protocol,
-    "motion": lambda cell: cell.motion,
-    "targets": lambda cell: str(cell.targets),
-    "score": lambda cell: f"{cell.mean:.2f}",
-    "95 % interval": lambda cell: f"{cell.ci95[0]:.2f} .. {cell.ci95[1]:.2f}",
-    "std": lambda cell: f"{cell.std:.2f}",
-    "seen": lambda cell: f"{cell.seen_fraction:.0%}",
-    "of the time": lambda cell: f"{cell.seen_step_fraction:.0%}",
-    "longest unseen [s]": lambda cell: f"{cell.longest_unseen_s:.1f}",
-    "rmse [m]": lambda cell: f"{cell.rmse_m:.2f}",
-    "nees (band)": lambda cell: f"{cell.nees:.1f} ({cell.nees_band[0]:.1f} .. {cell.nees_band[1]:.1f})",
-    "seen, never seen": lambda cell: f"{_number(cell.nees_seen, 1)}, {_number(cell.nees_unseen, 1)}",
-    "normalised": lambda cell: _number(cell.normalised_score, 3),
-}
-"""Text of every column of `summary_table`."""
-
-
-def summary_table(title: str, summary: Sequence[Summary]) -> Table:
-    """Summary as a table, one line a cell; the normalised score only if there is one."""
-    is_normalised = any(cell.normalised_score is not None for cell in summary)
-    header = tuple(name for name in COLUMNS if is_normalised or name != "normalised")
-    return Table(title=title, header=header, rows=tuple(tuple(COLUMNS[n](cell) for n in header) for cell in summary))
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

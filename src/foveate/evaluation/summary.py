@@ -15,10 +15,13 @@ from foveate.io.files import file_error, read_document, write_document
 from foveate.io.grouping import group_by
 from foveate.io.provenance import provenance
 
-VERSION = 1
-"""Version of the files of evaluations."""
+VERSION = 2
+"""Version of the files of evaluations: 2 added `objective`."""
 
-MEANS = ("seen_fraction", "seen_step_fraction", "longest_unseen_s", "rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees")
+MEANS = (
+    *("seen_fraction", "seen_step_fraction", "longest_unseen_s"),
+    *("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "objective", "contacts"),
+)
 """Fields of a summary that are means of the same fields of rows."""
 
 Band = tuple[float, float]
@@ -32,7 +35,8 @@ class Summary:
     holds 95 % of such means if the filter is consistent. For targets seen and targets never seen, `rmse_.._m` is the
     mean over the episodes that have some, `nees_..` the mean over all these targets; None without such targets.
     `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
-    planner's score (1); None unless requested.
+    planner's score (1); None unless requested. `objective`: mean score by the objective of the experiment's training;
+    None without one. `contacts`: mean number of steps that an obstacle has ended; None without obstacles.
     """
 
     method: str
@@ -56,6 +60,23 @@ class Summary:
     nees_unseen_band: Band | None
     episodes: int
     normalised_score: float | None = None
+    objective: float | None = None
+    contacts: float | None = None
+
+    def record(self) -> dict[str, Any]:
+        """All fields as plain values; `contacts` only among obstacles."""
+        return {name: value for name, value in asdict(self).items() if name != "contacts" or value is not None}
+
+    @property
+    def deviation(self) -> float | None:
+        """`std`; None of one episode, which says nothing of others."""
+        return self.std if self.episodes > 1 else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """`ci95`; None of one scene, which is its own interval in files, whatever its episodes."""
+        is_single = self.ci95[0] == self.ci95[1] and (self.episodes == 1 or self.std > 0)
+        return None if is_single else self.ci95
 
 
 def summarise(rows: Sequence[Row], state_size: int) -> list[Summary]:
@@ -114,7 +135,7 @@ def write_result(
     path: str | Path, rows: Sequence[Row], summary: Sequence[Summary], facts: Mapping[str, Any] = MappingProxyType({})
 ) -> None:
     """Write an evaluation as JSON: rows, summary, and the facts of its origin."""
-    content = {"rows": [asdict(row) for row in rows], "summary": [asdict(cell) for cell in summary]}
+    content = {"rows": [row.record() for row in rows], "summary": [cell.record() for cell in summary]}
     write_document(path, "evaluation", VERSION, {**provenance(), **facts, **content})
 
 

@@ -4,22 +4,50 @@ from dataclasses import dataclass, field, fields, replace
 
 from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
+from foveate.io.settings import Settings
+from foveate.models.problem import Problem
+from foveate.names import OBJECTIVES
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
 from foveate.scenario.scenario import Scenario
+from foveate.simulation.records import Policy
+from foveate.types import Key
 
 
 @dataclass(frozen=True, kw_only=True)
-class Experiment:
+class Experiment(Settings):
     """Everything that defines a training run."""
 
     scenario: Scenario = field(default_factory=Scenario)
     policy: AttentionSettings | PointerSettings = field(default_factory=AttentionSettings)
     training: TrainingSettings | PPOSettings | ActorCriticSettings = field(default_factory=TrainingSettings)
 
+    @property
+    def network(self) -> AttentionSettings | PointerSettings:
+        """Settings of the policy: a pointer network is told the time left where the objective depends on it."""
+        policy, training = self.policy, self.training
+        if isinstance(policy, PointerSettings) and policy.tells_time is None:
+            ends = not isinstance(training, ActorCriticSettings) or training.discount_of(self.scenario.scenes) == 1.0
+            return replace(policy, tells_time=ends)
+        return policy
 
-POINTER_LENGTH_DEPTHS = 2.5
-"""Unit of length of a pointer network in depths of the view, as in the presets: 5 m for a view of 2 m."""
+    @property
+    def is_for_any_robot(self) -> bool:
+        """True if it trains in worlds of random robots."""
+        return isinstance(self.training, ActorCriticSettings) and self.training.worlds == "random"
+
+    @property
+    def begins_with(self) -> str | None:
+        """The preset or run folder whose weights a training begins with; None for random ones."""
+        return self.policy.begin_with if isinstance(self.policy, PointerSettings) else None
+
+    def new_policy(self, key: Key, problem: Problem | None = None) -> Policy:
+        """The policy with random weights; `problem` is that of the scenario, which cannot be made under a trace."""
+        network, problem = self.network, self.scenario.problem() if problem is None else problem
+        if isinstance(network, PointerSettings):
+            others = OBJECTIVES if self.is_for_any_robot else ()
+            return network.policy(problem, key, self.training.objective, others)
+        return network.policy(problem, key)
 
 
 def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings | ActorCriticSettings) -> Experiment:
@@ -37,6 +65,5 @@ def with_learner(experiment: Experiment, learner: TrainingSettings | PPOSettings
         return replace(experiment, training=training)
     policy = AttentionSettings()
     if isinstance(learner, ActorCriticSettings):
-        length_m = POINTER_LENGTH_DEPTHS * float(experiment.scenario.view.depth_m)
-        policy = PointerSettings(kind="pointer", length_m=length_m)
+        policy = PointerSettings()
     return replace(experiment, policy=policy, training=training)

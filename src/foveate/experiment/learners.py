@@ -1,22 +1,34 @@
 """Settings of the learners, as in `config.toml`."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from foveate.io.settings import Settings, tag
 from foveate.io.validate import MAX_COUNT, at_least, positive, require
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.names import Objective, ProtocolName
-from foveate.simulation.records import Backpropagation, Protocol
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.records import PROTOCOLS, Backpropagation, Protocol
+
+HELD_OUT_STEPS = 24_000
+"""Most steps of a validation, about 5 s on two cores."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValidationSettings:
+class ValidationSettings(Settings):
     """Validation in training on `held_out` scenes that are not trained on; the best policy by `select` is kept."""
 
     select: ProtocolName = "surrogate"
     held_out: int = 240
 
+    def held_out_scenes(self, scenes: SceneSettings) -> int:
+        """`held_out`, or fewer where episodes are long: 32, or as many as have HELD_OUT_STEPS."""
+        longest = scenes.horizon(scenes.targets_max)
+        return min(self.held_out, max(32, HELD_OUT_STEPS // longest))
+
     def __post_init__(self) -> None:
+        super().__post_init__()
         at_least(1, self, "held_out")
         for name in ("held_out", "episodes", "environments", "rollout_steps", "batch", "segment", "window"):
             size = getattr(self, name, None)  # each learner has some of them
@@ -55,8 +67,9 @@ class TrainingSettings(LearningSettings):
     over the steps ("mean"), or the share of time in view ("seen"). Every `check_every` iterations the policy is
     validated.
 
-    At most `micro_batch` episodes are simulated at once on each device (None: those of 256 targets on a core of a CPU,
-    more elsewhere); this bounds memory, and changes rounding only. So does `segment`, rematerialisation for long
+    Each number of targets has its share of the episodes of an iteration; those left over are drawn. At most
+    `micro_batch` episodes are simulated at once on each device (None: those of 384 targets on a core of a CPU, more
+    elsewhere); this bounds memory, and changes rounding only. So does `segment`, rematerialisation for long
     horizons: an episode stores its state only every `segment` steps, and the backward pass simulates each segment
     again. `window` truncates back-propagation through time every `window` steps: an action is credited up to the end
     of its window, which changes the gradient and bounds it for long horizons.
@@ -106,7 +119,7 @@ class PPOSettings(LearningSettings):
 
     RENAMED: ClassVar[dict[str, str]] = {"passes": "update_epochs"}
     objective: ClassVar[Objective] = "terminal"
-    algorithm: Literal["ppo"]
+    algorithm: Literal["ppo"] = tag("ppo")
     steps: int = 1_000_000
     environments: int = 64
     rollout_steps: int = 32
@@ -140,29 +153,43 @@ class PPOSettings(LearningSettings):
         require(0 <= self.gae_lambda <= 1, "gae_lambda", self.gae_lambda, "expected 0 to 1")
 
 
+DECISIONS, WORLD_DECISIONS = 4096, 1024
+"""Default of the decisions in an iteration of the actor-critic, and in each world of random robots."""
+
+LONG_DISCOUNT = 0.98
+"""Default discount per step of episodes that are longer than a window."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ActorCriticSettings(ValidationSettings):
     """Settings of the actor-critic: PPO of a pointer policy on whole noisy episodes.
 
-    An iteration (of `epochs` in all) simulates `episodes` new episodes, split evenly among the `protocols`, and samples
-    a mode by its weight and a Gaussian about its action. The Gaussian's standard deviation falls linearly from the
-    first `action_std` to the last at the end of training. Then Adam updates on all steps for `update_epochs` epochs of
-    `minibatches` each. The `learning_rate` of the policy and the `critic_learning_rate` fall to 0 as a cosine,
+    An iteration (of `epochs` in all) simulates `episodes` episodes or windows of them (None: as many as have 4,096
+    decisions; always an even number for each of the `protocols`), and samples a mode by its weight and a Gaussian about
+    its action. The Gaussian's standard deviation, in units of the view (its depth, its half angle), falls linearly from
+    the first `action_std` to the last at the end of training. Then Adam updates on all steps for `update_epochs` epochs
+    of `minibatches` each. The `learning_rate` of the policy and the `critic_learning_rate` fall to 0 as a cosine,
     gradients have norms up to `gradient_bound`, and the ratio of probabilities is clipped to 1 +- `clip`. The policy is
     validated every `check_every` iterations.
 
     The return (`objective`) is the growth of log det per target ("terminal"), its mean over the steps ("mean") or the
-    share of time in view ("seen"). It is undiscounted, with no value after the horizon; advantages are estimated with
-    `gae_lambda`.
+    share of time in view ("seen"). Episodes of at most `window` steps are played whole, undiscounted, with no value
+    after the horizon. Longer ones are played by equal windows, each from where the one before has ended, with a
+    `discount` per step (None: 1 for episodes that are played whole, 0.98 for others) and the critic's value of what
+    comes after, also after the end. Advantages are estimated with `gae_lambda`.
+    With `worlds` = "random" it plays in other worlds than the scenario, each episode with a new robot: preset "any".
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"spread": "action_std", "passes": "update_epochs"}
-    algorithm: Literal["actor-critic"]
+    algorithm: Literal["actor-critic"] = tag("actor-critic")
+    worlds: Literal["own", "random"] = "own"
     protocols: tuple[ProtocolName, ...] = ("true",)
     select: ProtocolName = "true"
     objective: Objective = "terminal"
-    epochs: int = 500
-    episodes: int = 256
+    epochs: int = 400
+    episodes: int | None = None
+    window: int = 64
+    discount: float | None = None
     update_epochs: int = 4
     minibatches: int = 8
     learning_rate: float = 1e-3
@@ -177,18 +204,47 @@ class ActorCriticSettings(ValidationSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(1, self, "epochs", "update_epochs", "minibatches", "check_every")
+        at_least(1, self, "epochs", "update_epochs", "minibatches", "check_every", "window")
         right = "expected at least one of surrogate, true, each once"
         require(len(set(self.protocols)) == len(self.protocols) > 0, "protocols", self.protocols, right)
         count, least = len(self.protocols), self.minibatches
         right = f"expected a multiple of the number of protocols, {count}, and >= minibatches = {least}"
-        require(self.episodes % count == 0 and self.episodes >= least, "episodes", self.episodes, right)
+        fits = self.episodes is None or (self.episodes % count == 0 and self.episodes >= least)
+        require(fits, "episodes", self.episodes, right)
         positive(self, "learning_rate", "critic_learning_rate", "gradient_bound", "clip")
         at_least(0, self, "entropy_weight")
         require(min(self.action_std) > 0, "action_std", self.action_std, "expected two standard deviations > 0")
         require(0 <= self.gae_lambda <= 1, "gae_lambda", self.gae_lambda, "expected 0 to 1")
+        require(self.discount is None or 0 < self.discount <= 1, "discount", self.discount, "expected > 0, at most 1")
 
     @property
     def updates(self) -> int:
         """Steps of Adam in an iteration."""
         return self.update_epochs * self.minibatches
+
+    def protocol_of(self, i: int) -> Protocol:
+        """The protocol of the i-th share of a batch."""
+        return PROTOCOLS[self.protocols[i]]
+
+    def _mean_window(self, scenes: SceneSettings) -> float:
+        longest = scenes.horizon(scenes.targets_max)
+        parts = math.ceil(longest / self.window)
+        return scenes.mean_horizon if parts == 1 else float(math.ceil(longest / parts))
+
+    def trajectories(self, scenes: SceneSettings) -> int:
+        """Episodes, or windows of them, of an iteration: equally many of each protocol in each of two shards."""
+        count = 2 * len(self.protocols)
+        if self.episodes is not None:
+            return math.ceil(self.episodes / count) * count
+        decisions = DECISIONS if self.worlds == "own" else WORLD_DECISIONS
+        return max(1, round(decisions / self._mean_window(scenes) / count)) * count
+
+    def decisions(self, scenes: SceneSettings) -> int:
+        """Expected decisions of an iteration."""
+        return math.ceil(self.trajectories(scenes) * self._mean_window(scenes))
+
+    def discount_of(self, scenes: SceneSettings) -> float:
+        """The discount per step: none where episodes are played whole."""
+        if self.discount is not None:
+            return self.discount
+        return 1.0 if scenes.horizon(scenes.targets_max) <= self.window else LONG_DISCOUNT

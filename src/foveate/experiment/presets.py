@@ -4,11 +4,12 @@ import math
 from dataclasses import replace
 
 from foveate.errors import InputError
-from foveate.experiment.experiment import POINTER_LENGTH_DEPTHS, Experiment, with_learner
+from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
+from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.scenario.agent import Quadrotor
-from foveate.scenario.field_of_view import FrustumView
+from foveate.scenario.agent import FreeBody, Quadrotor
+from foveate.scenario.field_of_view import ConeView, FrustumView, SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -16,9 +17,9 @@ from foveate.scenario.target import VelocityTarget
 
 QUADROTOR = Scenario(
     tau_s=0.5,
-    agent=Quadrotor(kind="quadrotor"),
-    view=FrustumView(shape="frustum"),
-    target=VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.02, initial_velocity_variance_m2_s2=0.16),
+    agent=Quadrotor(),
+    view=FrustumView(),
+    target=VelocityTarget(acceleration_m2_s3=0.02, initial_velocity_variance_m2_s2=0.16),
     scenes=SceneSettings(
         centre_m=(0.0, 0.0, 3.0),
         half_side_m=(8.0, 8.0, 1.5),
@@ -33,7 +34,46 @@ QUADROTOR = Scenario(
 )
 """A flying camera over 3 to 8 targets that cross a hall of 16 x 16 x 3 m in all directions, for 15 s."""
 
-POINTER, ACTOR_CRITIC = PointerSettings(kind="pointer"), ActorCriticSettings(algorithm="actor-critic")
+PAN = Scenario(
+    tau_s=0.5,
+    agent=FreeBody(space="planar", axes=("wz",), lower=(-1.0,), upper=(1.0,)),
+    view=SectorView(depth_m=20.0, angle_deg=40.0),
+    target=VelocityTarget(
+        acceleration_m2_s3=0.02,
+        initial_variance_m2=1.0,
+        initial_velocity_variance_m2_s2=0.16,
+    ),
+    scenes=SceneSettings(
+        targets_min=4,
+        targets_max=10,
+        half_side_m=(8.0, 8.0),
+        half_side_per_target_m=0.0,
+        agent_spread=0.0,
+        agent_test_half_side_m=0.0,
+        drift_m_s=(0.7, 0.7),
+        shared_drift=False,
+        steps=40,
+        initial_error="consistent",
+    ),
+)
+"""A camera on a post, which turns at up to 57 deg/s among 4 to 10 targets that cross around it, for 20 s."""
+
+PAN_TILT = replace(
+    PAN,
+    agent=FreeBody(axes=("wy", "wz"), lower=(-1.0, -1.0), upper=(1.0, 1.0)),
+    # Turns about two axes of the body also roll it, which changes nothing in a view that is round.
+    view=ConeView(depth_m=20.0, angle_deg=40.0),
+    scenes=replace(PAN.scenes, centre_m=(0.0, 0.0, 0.0), half_side_m=(8.0, 8.0, 4.0), drift_m_s=(0.7, 0.7, 0.2)),
+)
+"""The same in space: a camera that turns about its upward and its sideways axis, with targets above and below it."""
+
+POINTER, ACTOR_CRITIC = PointerSettings(), ActorCriticSettings()
+
+
+def _watching(scenario: Scenario) -> Experiment:
+    """Experiment of a scenario whose targets are to be known at all times, not at the end alone."""
+    return Experiment(scenario=scenario, policy=POINTER, training=replace(ACTOR_CRITIC, objective="mean"))
+
 
 PRESETS = {
     "paper": Experiment(),
@@ -43,7 +83,6 @@ PRESETS = {
             ACTOR_CRITIC,
             protocols=("surrogate", "true"),
             select="surrogate",
-            epochs=400,
             episodes=384,
             action_std=(0.4, 0.04),
         ),
@@ -55,20 +94,22 @@ PRESETS = {
             sensor=SensorSettings(missed_detections="used"), scenes=SceneSettings(initial_error="consistent")
         ),
         policy=POINTER,
-        training=replace(ACTOR_CRITIC, epochs=400),
+        training=ACTOR_CRITIC,
     ),
-    "quadrotor": Experiment(
-        scenario=QUADROTOR,
-        policy=replace(POINTER, length_m=POINTER_LENGTH_DEPTHS * QUADROTOR.view.depth_m),
-        training=replace(ACTOR_CRITIC, objective="mean"),
-    ),
+    "quadrotor": _watching(QUADROTOR),
+    # In worlds of random robots. The scenario is that of its verdict and its default.
+    "any": Experiment(policy=POINTER, training=replace(ACTOR_CRITIC, worlds="random", epochs=700)),
+    "pan": _watching(PAN),
+    "pan-tilt": _watching(PAN_TILT),
 }
 """Experiments by the names of the presets; the package has a trained policy of each."""
 
+FINE_TUNING = replace(ACTOR_CRITIC, epochs=80, learning_rate=3e-4, action_std=(0.15, 0.06))
+"""Learner that adapts the policy for any robot to one: about a minute of small steps from what it can do."""
+
 PPO = {
-    "ppo": PPOSettings(algorithm="ppo"),
+    "ppo": PPOSettings(),
     "ppo-tuned": PPOSettings(
-        algorithm="ppo",
         environments=128,
         rollout_steps=32,
         batch=128,
@@ -87,12 +128,19 @@ LEARNERS = {"policy-gradient": TrainingSettings(), "actor-critic": ACTOR_CRITIC,
 
 
 def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
-    """Return an experiment of a scenario with a preset's network and learner, their lengths scaled with the view."""
+    """Return an experiment of a scenario with a preset's network and learner, their lengths scaled with the view.
+
+    With "any" a training begins with the weights of that preset.
+    """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
+    if preset == "any":
+        return Experiment(scenario=scenario, policy=replace(POINTER, begin_with="any"), training=FINE_TUNING)
     base = PRESETS[preset]
     scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
-    policy, training = replace(base.policy, length_m=scale * base.policy.length_m), base.training
+    policy, training = base.policy, base.training
+    if isinstance(policy, AttentionSettings):
+        policy = replace(policy, length_m=scale * policy.length_m)
     if isinstance(training, LearningSettings):
         training = replace(training, softness=tuple((offset, scale * kappa) for offset, kappa in training.softness))
     return Experiment(scenario=scenario, policy=policy, training=training)

@@ -8,21 +8,29 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import CONFIG
+from foveate.io.progress import logger
 from foveate.io.toml import load_toml
+from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.names import METHODS, InitialError
-from foveate.policies.heuristics import heuristic
+from foveate.names import METHODS, InitialError, Objective
+from foveate.planning.named import heuristic_policy
+from foveate.policies.pointer import PointerPolicy, PointerSettings
+from foveate.policies.tokens import token_size
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, checked, read_scenes
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import own_suite, table1
+from foveate.types import Key
 
 TRAINED = Path(__file__).parent / "trained"
 """Folder of the presets' run folders."""
@@ -30,8 +38,8 @@ Name = str | Path
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trained:
-    """A policy with the experiment that trained it, as `deploy.policy.TrainedPolicy`."""
+class NamedPolicy:
+    """A policy with the experiment of its scenario, as `deploy.policy.RobotPolicy`: trained, heuristic or planner."""
 
     name: str
     experiment: Experiment
@@ -42,24 +50,42 @@ class Trained:
 class Subject:
     """A policy under evaluation, with its name and the experiment of its scenario.
 
-    `network` loads the policy: a run's heuristics need no checkpoint.
+    `network` loads the policy: a run's heuristics need no checkpoint. `is_trained`: the experiment trained it.
     """
 
     name: str
     experiment: Experiment
     network: Callable[[], Policy]
+    is_trained: bool = True
+    trained_tau_s: float | None = None
+    """Control period of its training [s]."""
+
+    @property
+    def objective(self) -> Objective | None:
+        """Objective of its training."""
+        return self.experiment.training.objective if self.is_trained else None
 
     def policy(self, method: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-        """Return the subject's own policy for "policy", else a heuristic; the lawnmower needs the box [m]."""
+        """Return the subject's own policy for "policy", else a heuristic; `lawnmower` and `post` take the box [m]."""
         if method == "policy":
             return self.network()
-        scenario = self.experiment.scenario
-        return heuristic(method, scenario.problem(), float(scenario.view.depth_m), box_world)
+        return heuristic_in(self.experiment.scenario, method, box_world)
+
+
+def heuristic_in(scenario: Scenario, name: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
+    """Make a heuristic for a scenario, with the box [m] of `lawnmower` and `post`. Raises as `heuristic_policy`."""
+    return heuristic_policy(name, scenario.problem(), float(scenario.view.depth_m), box_world)
 
 
 def run_folder(run: Name) -> Path:
-    """Resolve a run folder, or a preset's name to the package's run folder; an existing run has precedence."""
+    """Resolve a run folder, or a preset's name to the package's run folder; an existing run has precedence.
+
+    Of `NAME@SOURCE` it is the folder of NAME.
+    """
     folder = Path(run)
+    if not folder.exists():
+        run = str(run).partition("@")[0]
+        folder = Path(run)
     if str(run) in PRESETS and not (folder / CONFIG).is_file():
         return TRAINED / str(run)
     if not folder.is_dir():
@@ -68,13 +94,68 @@ def run_folder(run: Name) -> Path:
 
 
 def load(run: Name) -> tuple[Experiment, Policy, dict[str, Any]]:
-    """Load the experiment and policy of a run or a preset, and the policy's facts. Raises as `load_run`."""
-    return load_run(run_folder(run))
+    """Load the experiment and policy of a run or a preset, and the policy's facts. Raises as `load_run`.
+
+    `NAME@SOURCE` is the policy NAME in the scenario of SOURCE, for its objective (see `experiment_from`).
+    """
+    experiment, policy, facts = load_run(run_folder(run))
+    if (source := _scenario_source(run)) is None:
+        return experiment, policy, facts
+    experiment = in_scenario(experiment, source.scenario, source.training.objective)
+    return experiment, told(policy, experiment), facts
+
+
+def _scenario_source(run: Name) -> Experiment | None:
+    """What comes after the @ of `NAME@SOURCE`; None where there is none, or a file of the whole name."""
+    _, at, source = str(run).partition("@")
+    return experiment_from(source) if at and not Path(run).exists() else None
+
+
+def in_scenario(experiment: Experiment, scenario: Scenario, objective: Objective | None = None) -> Experiment:
+    """The experiment of a trained policy that is to decide in another scenario.
+
+    `objective` is what the policy is told to do. None keeps that of its training; a policy for any robot then decides
+    for the end of episodes that a window holds, and for the mean of longer ones. Raises InputError for a scenario that
+    does not fit the network's inputs and outputs: a pointer network takes every robot of its space.
+    """
+    training, is_pointer = experiment.training, isinstance(experiment.policy, PointerSettings)
+    trained, given = (_shape_of(each.problem(), is_pointer) for each in (experiment.scenario, scenario))
+    if trained != given:
+        raise InputError(f"scenario: has {given}: expected {trained}, as the policy was trained for")
+    if isinstance(training, ActorCriticSettings):
+        if experiment.is_for_any_robot and objective is None:
+            scenes = scenario.scenes
+            objective = "terminal" if scenes.horizon(scenes.targets_max) <= training.window else "mean"
+        training = replace(training, worlds="own", objective=objective or training.objective)
+    return replace(experiment, scenario=scenario, training=training)
+
+
+def told(policy: Policy, experiment: Experiment) -> Policy:
+    """The policy, told the objective of an experiment, and the time left where the objective depends on it."""
+    if not isinstance(policy, PointerPolicy):
+        return policy
+    network = experiment.network
+    assert isinstance(network, PointerSettings), "of the same kind as its settings"
+    return replace(policy, objective=experiment.training.objective, tells_time=network.tells_time is not False)
+
+
+def first_policy(experiment: Experiment, key: Key) -> Policy:
+    """The policy that a training begins with. Raises InputError if the run of its first weights has another network."""
+    policy = experiment.new_policy(key)
+    if experiment.begins_with is None:
+        return policy
+    arrays, static = eqx.partition(policy, eqx.is_array)
+    weights = jax.tree.leaves(eqx.filter(load(experiment.begins_with)[1], eqx.is_array))
+    fits = [x.shape for x in weights] == [x.shape for x in jax.tree.leaves(arrays)]
+    right = "expected a run whose network has the sizes of policy, and the space of the scenario"
+    require(fits, "policy.begin_with", experiment.begins_with, right)
+    return eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), weights), static)
 
 
 def experiment_of(run: Name) -> Experiment:
-    """Read the experiment of a run or a preset."""
-    return load_toml(Experiment, run_folder(run) / CONFIG)
+    """Read the experiment of a run or a preset, or of `NAME@SOURCE`."""
+    own, source = load_toml(Experiment, run_folder(run) / CONFIG), _scenario_source(run)
+    return own if source is None else in_scenario(own, source.scenario, source.training.objective)
 
 
 def experiment_from(source: Experiment | Scenario | Name) -> Experiment:
@@ -87,13 +168,14 @@ def experiment_from(source: Experiment | Scenario | Name) -> Experiment:
         return PRESETS[source]
     path = Path(source)
     if path.is_dir():
-        path = path / CONFIG
-    elif isinstance(source, str) and path.suffix != ".toml" and not path.exists():
+        return load_toml(Experiment, path / CONFIG)
+    if isinstance(source, str) and path.suffix != ".toml" and not path.exists():
         raise InputError(f"{source}: expected a preset ({', '.join(PRESETS)}), a TOML file or a run folder")
-    return load_toml(Experiment, path)
+    # A copied config.toml may be edited: unlike a run's own, no weights belong to it.
+    return load_toml(Experiment, path, logger.warning)
 
 
-def subject_of(policy: Trained | Policy | Name, scenario: Scenario | None = None) -> Subject:
+def subject_of(policy: NamedPolicy | Policy | Name, scenario: Scenario | None = None) -> Subject:
     """Resolve a trained policy, a run folder, a preset's name, or a `Policy` with its scenario.
 
     Raises InputError for anything else, and for a scenario that does not fit the policy's inputs and outputs.
@@ -102,32 +184,34 @@ def subject_of(policy: Trained | Policy | Name, scenario: Scenario | None = None
         if scenario is None:
             raise InputError("scenario: expected the scenario of a policy that foveate did not train")
         experiment = Experiment(scenario=scenario)
-        return Subject(name=type(policy).__name__, experiment=experiment, network=lambda: policy)
+        return Subject(name=type(policy).__name__, experiment=experiment, network=lambda: policy, is_trained=False)
     if isinstance(policy, Name):
         name, own, network = str(policy), experiment_of(policy), lambda: load(policy)[1]
-    elif isinstance(policy, Trained):
+    elif isinstance(policy, NamedPolicy):
         name, own, network = policy.name, policy.experiment, lambda: policy.network
     else:
         raise InputError(f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.Policy")
-    if scenario is not None:
-        trained, given = (_shape_of(each.problem()) for each in (own.scenario, scenario))
-        if trained != given:
-            raise InputError(f"scenario: has {given}: expected {trained}, as the policy was trained for")
-        own = replace(own, scenario=scenario)
-    return Subject(name=name, experiment=own, network=network)
+    tau_s = None if own.is_for_any_robot else own.scenario.tau_s
+    if scenario is None:
+        return Subject(name=name, experiment=own, network=network, trained_tau_s=tau_s)
+    own = in_scenario(own, scenario)
+    return Subject(name=name, experiment=own, network=lambda: told(network(), own), trained_tau_s=tau_s)
 
 
-def _shape_of(problem: Problem) -> str:
+def _shape_of(problem: Problem, is_pointer: bool) -> str:
     """Describe the sizes on which the inputs and outputs of a network depend."""
-    n_y, axes = problem.motion.state_size, len(problem.agent.axes)
-    return f"{problem.agent.space.dimension} dimensions, states of {n_y} numbers and {axes} of a command"
+    dimensions = f"{problem.agent.space.dimension} dimensions"
+    if is_pointer:
+        token_size(problem)  # rejects targets that it cannot be told of
+        return dimensions
+    return f"{dimensions}, states of {problem.motion.state_size} numbers and {len(problem.agent.axes)} of a command"
 
 
 def with_initial_error(experiment: Experiment, initial_error: InitialError | None) -> Experiment:
     """Replace the error of initial means in an experiment, unless it is None."""
     if initial_error is None:
         return experiment
-    scenes = replace(experiment.scenario.scenes, initial_error=initial_error)
+    scenes = replace(experiment.scenario.scenes, initial_error=initial_error, first_error_std=None)
     return replace(experiment, scenario=replace(experiment.scenario, scenes=scenes))
 
 
@@ -143,12 +227,12 @@ def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
 def scenes_of(scenes: Name | Sequence[Scene] | None, seed: int, experiment: Experiment) -> tuple[str, list[Scene]]:
     """Resolve a list, a scenes file, table1, or own (the experiment's distribution) to a name and scenes.
 
-    None is table1 in the plane, own in space.
+    None is table1 in the plane, own in space and among obstacles.
     """
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
     planar = experiment.scenario.dimension == 2
     if scenes is None:
-        scenes = "table1" if planar else "own"
+        scenes = "table1" if planar and problem.obstacles is None else "own"
     if not isinstance(scenes, Name):
         return "scenes", checked(scenes, problem.agent.space, settings)
     name = str(scenes)
@@ -156,6 +240,6 @@ def scenes_of(scenes: Name | Sequence[Scene] | None, seed: int, experiment: Expe
         return name, own_suite(settings, problem, seed)
     if name != "table1":
         return name, read_scenes(Path(name), problem.agent.space, settings)
-    if not planar:
-        raise InputError("scenes table1: the paper's suite is planar: give a scenes file, or own")
+    if not planar or problem.obstacles is not None:
+        raise InputError("scenes table1: the paper's suite is planar, without obstacles: give a scenes file, or own")
     return name, table1(problem, seed)

@@ -1,7 +1,7 @@
 """Files of a run folder: their names, the record of a validation, and the outcome of a training."""
 
-import json
-from dataclasses import dataclass, fields
+import math
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,9 @@ from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPOSettings
 from foveate.io.files import LOCK, is_temporary, read_text, write_atomic
+from foveate.io.strict_json import parse_json
 
-CONFIG, METRICS = "config.toml", "metrics.jsonl"
+CONFIG, METRICS, EXTENDED, VERDICT = "config.toml", "metrics.jsonl", "extended.json", "verdict.json"
 BEST, LAST = Path("checkpoint") / "best.npz", Path("checkpoint") / "last.npz"
 
 
@@ -34,6 +35,11 @@ class Validation:
     elapsed_s: float
     event: str = ""
     env_steps: int = 0
+
+    def numbers(self) -> dict[str, float]:
+        """All numbers that are finite, by name, as loggers take them: `mlflow.log_metrics(metrics.numbers())`."""
+        values = {name: value for name, value in asdict(self).items() if isinstance(value, int | float)}
+        return {name: float(value) for name, value in values.items() if math.isfinite(value)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +68,8 @@ def claim(out: Path, experiment: Experiment) -> None:
 def require_free(out: Path, experiment: Experiment) -> None:
     """Raise InputError if `out` exists, unless it is empty or left by a training killed before its config.toml."""
     if out.exists() and not _is_free(out):
-        resume = "" if isinstance(experiment.training, PPOSettings) else f", or resume it with --resume {out}"
-        raise InputError(f"{out}: exists already: choose another --out{resume}")
+        resume = "" if isinstance(experiment.training, PPOSettings) else ", or resume the training in it"
+        raise InputError(f"{out}: exists already: choose another folder{resume}")
 
 
 def _is_free(out: Path) -> bool:
@@ -80,7 +86,7 @@ def read_validations(file: Path) -> list[Validation]:
     lines = [line for line in read_text(file, "metrics.jsonl of a run").splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):
         try:
-            values = {name: value for name, value in json.loads(line).items() if name in names}
+            values = {name: value for name, value in parse_json(line).items() if name in names}
             validations.append(Validation(**values))
         except (ValueError, TypeError, AttributeError):
             if number < len(lines):

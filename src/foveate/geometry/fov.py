@@ -9,7 +9,7 @@ never by matmul, which accelerators round to fewer bits.
 import abc
 import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,6 +21,17 @@ from foveate.io.validate import require
 from foveate.types import Point, Scalar
 
 Number = float | int
+
+
+class Extent(NamedTuple):
+    """Size of a field of view about the axis ahead: how far [m], and how far to either side and up and down [rad].
+
+    A law that turns until a target is in view needs no more. `half_height_rad` is pi in the plane.
+    """
+
+    ahead_m: Scalar
+    half_width_rad: Scalar
+    half_height_rad: Scalar
 
 
 class FieldOfView(eqx.Module):
@@ -37,6 +48,11 @@ class FieldOfView(eqx.Module):
     def depth(self) -> Scalar:
         """Largest distance from the origin of the body frame to a point of F [m], inf if F is unbounded."""
         return jnp.asarray(jnp.inf)  # weakly typed: takes the dtype of its context
+
+    @property
+    @abc.abstractmethod
+    def extent(self) -> Extent:
+        """How far F reaches along the axis ahead, and to its sides; inf and pi where it is unbounded."""
 
     @abc.abstractmethod
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
@@ -79,6 +95,13 @@ class HalfSpace(FieldOfView):
         """2 or 3, the length of the normal."""
         return self.normal.shape[-1]
 
+    @property
+    def extent(self) -> Extent:
+        """As far as the plane, if it is ahead; in every direction."""
+        ahead = self.normal[0] > 0
+        far = jnp.where(ahead, self.offset / jnp.where(ahead, self.normal[0], 1.0), jnp.inf)
+        return Extent(far, jnp.asarray(jnp.pi), jnp.asarray(jnp.pi))
+
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
         """normal . p - offset [m]."""
         return jnp.sum(self.normal * point_body, axis=-1) - self.offset
@@ -118,6 +141,25 @@ class Ball(FieldOfView):
     def depth(self) -> Scalar:
         """|center| + radius [m]."""
         return length(*self.center) + self.radius
+
+    @property
+    def extent(self) -> Extent:
+        """Where the axis leaves the ball (0: nowhere); the largest angle in its level cut, and in its upright one."""
+        ahead, aside, above = self.center[0], self.center[1], self.center[2] if self.dimension == 3 else jnp.zeros(())
+        root = self.radius**2 - aside**2 - above**2
+        far = jnp.where(root > 0, ahead + jnp.sqrt(jnp.maximum(root, 0.0)), 0.0)
+        return Extent(
+            jnp.maximum(far, 0.0), self._half_angle(ahead, aside, above), self._half_angle(ahead, above, aside)
+        )
+
+    def _half_angle(self, ahead: Scalar, aside: Scalar, off: Scalar) -> Scalar:
+        """The largest angle from the axis [rad] of a point of the cut through the origin, which is a disc."""
+        radius = jnp.sqrt(jnp.maximum(self.radius**2 - off**2, 0.0))
+        distance = jnp.hypot(ahead, aside)
+        inside = distance <= radius
+        apparent = jnp.arcsin(radius / jnp.where(inside, jnp.maximum(radius, 1e-9), distance))
+        half = jnp.minimum(jnp.abs(jnp.arctan2(aside, ahead)) + apparent, jnp.pi)
+        return jnp.where(inside, jnp.pi, jnp.where(radius > 0, half, 0.0))
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
         """|p - center| - radius [m]."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from foveate.geometry.fov import FieldOfView, Number, arc, closed
+from foveate.geometry.fov import Extent, FieldOfView, Number, arc, closed
 from foveate.geometry.safe import clipped, larger, length
 from foveate.io.validate import require
 from foveate.types import Scalar
@@ -43,6 +43,20 @@ class ConvexPolygon(FieldOfView):
     def depth(self) -> Scalar:
         """Distance of the farthest vertex from the origin [m]."""
         return jnp.sqrt(jnp.max(jnp.sum(self.vertices**2, axis=-1)))
+
+    @property
+    def extent(self) -> Extent:
+        """Where the axis ahead leaves the polygon, and the largest bearing of a vertex; pi about an agent inside."""
+        start, end = self.vertices, jnp.roll(self.vertices, -1, axis=0)
+        rise = end[:, 1] - start[:, 1]
+        crosses = (jnp.minimum(start[:, 1], end[:, 1]) <= 0) & (jnp.maximum(start[:, 1], end[:, 1]) >= 0) & (rise != 0)
+        at = start[:, 0] - start[:, 1] * (end[:, 0] - start[:, 0]) / jnp.where(rise == 0, 1.0, rise)
+        ahead = jnp.max(jnp.where(crosses, at, 0.0), initial=0.0)
+        # The rounding of an apex at the agent is not a view to all sides.
+        encloses = self.signed_distance(jnp.zeros_like(self.vertices[0])) < -1e-4 * self.depth
+        near = jnp.sum(self.vertices**2, axis=-1) <= (1e-4 * self.depth) ** 2
+        bearing = jnp.where(near, 0.0, jnp.abs(jnp.arctan2(self.vertices[:, 1], self.vertices[:, 0])))
+        return Extent(ahead, jnp.where(encloses, jnp.pi, jnp.max(bearing)), jnp.asarray(jnp.pi))
 
     def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
         """Distance to the nearest edge, negative where the point is left of all edges [m].
@@ -146,6 +160,11 @@ class Sector(FieldOfView):
     def depth(self) -> Scalar:
         """`radius` [m]."""
         return self.radius
+
+    @property
+    def extent(self) -> Extent:
+        """`radius`, and half the angle."""
+        return Extent(self.radius, self.angle / 2, jnp.asarray(jnp.pi))
 
     def signed_distance(self, point_body: Float[Array, "... 2"]) -> Float[Array, "..."]:
         """Distance to the sector, folded onto its axis of symmetry [m]."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from foveate.geometry.fov import FieldOfView, Number, arc, closed
+from foveate.geometry.fov import Extent, FieldOfView, Number, arc, closed
 from foveate.geometry.fov_planar import annular_sector_distance, annular_sector_outline
 from foveate.geometry.safe import larger, length
 from foveate.io.validate import require
@@ -28,6 +28,11 @@ class Cone(FieldOfView):
     def depth(self) -> Scalar:
         """`far` [m]."""
         return self.far
+
+    @property
+    def extent(self) -> Extent:
+        """`far`, and half the angle all round."""
+        return Extent(self.far, self.angle / 2, self.angle / 2)
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """Distance [m] to the annular sector in the half-plane (x, rho) through the point: a solid of revolution."""
@@ -73,6 +78,11 @@ class Frustum(FieldOfView):
         """Distance of the far corners from the origin [m]."""
         wide, high = jnp.tan(self.width_angle / 2), jnp.tan(self.height_angle / 2)
         return self.far * jnp.sqrt(1 + wide**2 + high**2)
+
+    @property
+    def extent(self) -> Extent:
+        """`far`, and half the angles."""
+        return Extent(self.far, self.width_angle / 2, self.height_angle / 2)
 
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """Inside and before a face the largest height over a face, else the distance to the nearest edge [m].
@@ -125,6 +135,11 @@ class Prism(FieldOfView):
 
     _dimension = 3
 
+    @property
+    def extent(self) -> Extent:
+        """That of the base."""
+        return self.base.extent
+
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """Distance of the point's foot in the plane to the base [m]."""
         return self.base.signed_distance(point_body[..., :2])
@@ -156,6 +171,13 @@ class Intersection(FieldOfView):
     def depth(self) -> Scalar:
         """An upper bound of the depth: the least of the members'."""
         return jnp.min(jnp.stack([shape.depth for shape in self.shapes]))
+
+    @property
+    def extent(self) -> Extent:
+        """An upper bound: the least of the members'."""
+        return Extent(
+            *(reduce(jnp.minimum, sizes) for sizes in zip(*(shape.extent for shape in self.shapes), strict=True))
+        )
 
     def signed_distance(self, point_body: Float[Array, "... d"]) -> Float[Array, "..."]:
         """The largest of the members' signed distances [m]: exact inside, a lower bound outside.

@@ -1,6 +1,6 @@
 """The group SE(2): exponential, logarithm and action of planar poses.
 
-A pose is the vector [x, y, yaw]; yaw counts turns, and a composition never wraps it. A twist is [v_x, v_y, w]
+A pose is the vector [x, y, yaw]; yaw counts turns, and only `wrapped_se2` ever wraps it. A twist is [v_x, v_y, w]
 in the body frame. Every function takes leading batch axes, which broadcast, and keeps the dtype. Metres and radians.
 The numerics are those of `lie`.
 """
@@ -11,6 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.series import sinc
+
+WRAPPED = 8.0 * math.pi
+"""Yaw beyond half of this is wrapped by all of it [rad]: counted turns would take its digits, one by one."""
 
 
 def _rotate(angle: Float[Array, "*#b"], vector: Float[Array, "*#b 2"]) -> Float[Array, "... 2"]:
@@ -38,6 +41,12 @@ def move_se2(pose: Float[Array, "*#b 3"], twist: Float[Array, "*#b 3"]) -> Float
     half_turn = 0.5 * twist[..., 2]
     chord = _rotate(pose[..., 2] + half_turn, sinc(half_turn)[..., None] * twist[..., :2])
     return _planar(pose[..., :2] + chord, pose[..., 2] + twist[..., 2])
+
+
+def wrapped_se2(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """The same pose, its yaw within two turns either way; one that is so already stays as it is, to the last bit."""
+    yaw = pose[..., 2]
+    return _planar(pose[..., :2], yaw - WRAPPED * jnp.round(yaw / WRAPPED))
 
 
 def log_se2(pose: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:

@@ -7,6 +7,8 @@ compile again for every length of an episode; `tests/geometry/test_numpy_poses.p
 import numpy as np
 from jaxtyping import Float
 
+from foveate.geometry.lie_planar import WRAPPED
+
 
 def positions(pose: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... d"]:
     """Positions of any number of poses of one kind [m]."""
@@ -21,6 +23,18 @@ def rotation(pose: Float[np.ndarray, "..."]) -> Float[np.ndarray, "d d"]:
     return np.array([[cos, -sin], [sin, cos]])
 
 
+def rotation_quaternion(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """R = I + 2 q_w n^ + 2 (n^)^2 of a quaternion [q_w; n] of any length but zero, normalised.
+
+    (n^)^2 = n n^T - |n|^2 I.
+    """
+    n, eye = quaternion[1:], np.eye(3, dtype=quaternion.dtype)
+    scale = 2 / np.sum(quaternion * quaternion)
+    x, y, z = scale * quaternion[0] * n
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], quaternion.dtype)
+    return eye + cross + scale * (n[:, None] * n - np.sum(n * n) * eye)
+
+
 def placed(pose: Float[np.ndarray, "..."], points_body: Float[np.ndarray, "*m d"]) -> Float[np.ndarray, "*m d"]:
     """World positions of a single pose's body-frame points [m]."""
     return points_body @ rotation(pose).T + positions(pose)
@@ -30,7 +44,8 @@ def arc(pose: Float[np.ndarray, "instants ..."], parts: int) -> Float[np.ndarray
     """Poses along the path, `parts` per step, with a constant twist from one pose to the next.
 
     They are T exp(s log(T^-1 T')) at s = 0, 1/parts, ...: the agent's true path, in space if it turned by at most pi in
-    the step. In the plane the yaw counts turns; only a whole turn, which leads nowhere, is taken for none.
+    the step. In the plane the yaw counts turns, up to two in a step; only a whole turn, which leads nowhere, is taken
+    for none.
     """
     between = (_planar_arc if _planar(pose) else _spatial_arc)(pose[:-1], pose[1:], np.arange(parts) / parts)
     return np.concatenate([between.reshape(-1, *pose.shape[1:]), pose[-1:]])
@@ -52,6 +67,7 @@ def _chord_share(share: Float[np.ndarray, " s"], angle: Float[np.ndarray, "steps
 def _planar_arc(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> Float[np.ndarray, "steps s 3"]:
     """The chord of a step, shortened and turned back."""
     x, y, turn = (end - start).T[..., None]
+    turn = turn - WRAPPED * np.round(turn / WRAPPED)
     w = np.where(np.abs(np.sin(turn / 2)) > 1e-6, turn, -np.remainder(np.pi - turn, 2 * np.pi) + np.pi)
     length, back = _chord_share(share, w)
     ahead = length * (np.cos(back) * x - np.sin(back) * y), length * (np.sin(back) * x + np.cos(back) * y)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.geometry import lie, lie_planar
+from foveate.geometry.numpy_poses import rotation_quaternion
 
 
 class Space(eqx.Module):
@@ -54,18 +55,30 @@ class Space(eqx.Module):
     def position(self, pose: Float[Array, "..."]) -> Float[Array, " d"]:
         """Position of the agent in the world [m]."""
 
+    @abc.abstractmethod
+    def placed(self, pose: Float[Array, "..."], position_world: Float[Array, " d"]) -> Float[Array, "..."]:
+        """The pose at another position [m], turned as before."""
+
     @staticmethod
     @abc.abstractmethod
     def log(pose: Float[Array, "..."], /) -> Float[Array, " n_u"]:
         """log(T)^v, the twist that leads from the identity to T in unit time; its turn is at most pi."""
 
     @abc.abstractmethod
-    def from_numbers(self, numbers: object) -> Float[Array, "..."]:
+    def numpy_pose(self, numbers: object) -> Float[np.ndarray, "..."]:
         """The pose from its list of numbers in a file. Raises InputError where one is missing or not finite."""
 
+    def from_numbers(self, numbers: object) -> Float[Array, "..."]:
+        """`numpy_pose` as a JAX array."""
+        return jnp.asarray(self.numpy_pose(numbers))
+
     @abc.abstractmethod
+    def numbers_of(self, pose: Float[Array, "..."]) -> Float[Array, " numbers"]:
+        """The numbers of a pose, from which `from_numbers` makes it."""
+
     def to_numbers(self, pose: Float[Array, "..."]) -> list[float]:
-        """The inverse of `from_numbers`, outside of jit."""
+        """`numbers_of` as a list, outside of jit."""
+        return np.asarray(self.numbers_of(pose)).tolist()
 
 
 def _checked(numbers: object, name: str, entries: str) -> np.ndarray:
@@ -87,18 +100,22 @@ def _checked(numbers: object, name: str, entries: str) -> np.ndarray:
 
 
 class Planar(Space):
-    """The plane: pose [x, y, yaw], yaw counting turns; twist [v_x, v_y, w_z]."""
+    """The plane: pose [x, y, yaw], yaw counting up to two turns either way; twist [v_x, v_y, w_z]."""
 
     name = "planar"
     dimension = 2
     twist_size = 3
     axes = ("vx", "vy", "wz")
 
-    move = staticmethod(lie_planar.move_se2)
     to_body = staticmethod(lie_planar.body_point_se2)
     to_world = staticmethod(lie_planar.act_se2)
     rotation = staticmethod(lie_planar.rotation_se2)
     log = staticmethod(lie_planar.log_se2)
+
+    @staticmethod
+    def move(pose: Float[Array, "3"], displacement: Float[Array, "3"], /) -> Float[Array, "3"]:
+        """T exp(hat(displacement)), displacement = tau u, in the body frame of T [m, rad]."""
+        return lie_planar.wrapped_se2(lie_planar.move_se2(pose, displacement))
 
     def identity(self) -> Float[Array, "3"]:
         """[0, 0, 0]."""
@@ -112,13 +129,17 @@ class Planar(Space):
         """[x, y] [m]."""
         return pose[:2]
 
-    def from_numbers(self, numbers: object) -> Float[Array, "3"]:
-        """The pose of [x, y, yaw] [m, rad]."""
-        return jnp.asarray(_checked(numbers, self.name, "[x, y, yaw]"), jnp.result_type(float))
+    def placed(self, pose: Float[Array, "3"], position_world: Float[Array, "2"]) -> Float[Array, "3"]:
+        """[x, y, yaw] with another x, y [m]."""
+        return pose.at[:2].set(position_world)
 
-    def to_numbers(self, pose: Float[Array, "3"]) -> list[float]:
+    def numpy_pose(self, numbers: object) -> Float[np.ndarray, "3"]:
+        """The pose of [x, y, yaw] [m, rad]."""
+        return _checked(numbers, self.name, "[x, y, yaw]").astype(jnp.result_type(float))
+
+    def numbers_of(self, pose: Float[Array, "3"]) -> Float[Array, "3"]:
         """[x, y, yaw] [m, rad]."""
-        return [float(number) for number in pose]
+        return pose
 
 
 class Spatial(Space):
@@ -145,7 +166,7 @@ class Spatial(Space):
     @staticmethod
     def move(pose: Float[Array, "4 4"], displacement: Float[Array, "6"], /) -> Float[Array, "4 4"]:
         """T exp(hat(displacement)), displacement = tau u, in the body frame of T [m, rad]."""
-        return lie.compose_se3(pose, lie.exp_se3(displacement))
+        return lie.orthonormal_se3(lie.compose_se3(pose, lie.exp_se3(displacement)))
 
     @staticmethod
     def rotation(pose: Float[Array, "4 4"], /) -> Float[Array, "3 3"]:
@@ -156,19 +177,25 @@ class Spatial(Space):
         """[x, y, z] [m]."""
         return pose[:3, 3]
 
-    def from_numbers(self, numbers: object) -> Float[Array, "4 4"]:
+    def placed(self, pose: Float[Array, "4 4"], position_world: Float[Array, "3"]) -> Float[Array, "4 4"]:
+        """T with another x, y, z [m]."""
+        return pose.at[:3, 3].set(position_world)
+
+    def numpy_pose(self, numbers: object) -> Float[np.ndarray, "4 4"]:
         """The pose of [x, y, z, qw, qx, qy, qz] [m, -]; the quaternion may have any length but zero."""
         array = _checked(numbers, self.name, "[x, y, z, qw, qx, qy, qz]")
         largest = np.max(np.abs(array[3:]))
         if largest == 0.0:
             raise InputError(f"{self.name} pose: quaternion [qw, qx, qy, qz] must not be zero, got {numbers!r}")
-        quaternion = jnp.asarray(array[3:] / largest, jnp.result_type(float))  # a tiny one must not underflow
-        pose = self.identity().at[:3, :3].set(lie.rotation_quaternion(quaternion))
-        return pose.at[:3, 3].set(jnp.asarray(array[:3], pose.dtype))
+        array[3:] /= largest  # a tiny one must not underflow
+        pose = np.eye(4, dtype=jnp.result_type(float))
+        pose[:3, :3] = rotation_quaternion(array[3:].astype(pose.dtype))
+        pose[:3, 3] = array[:3]
+        return pose
 
-    def to_numbers(self, pose: Float[Array, "4 4"]) -> list[float]:
+    def numbers_of(self, pose: Float[Array, "4 4"]) -> Float[Array, "7"]:
         """[x, y, z, qw, qx, qy, qz], a unit quaternion with qw >= 0 [m, -]."""
-        return [float(number) for number in (*pose[:3, 3], *lie.quaternion_so3(pose[:3, :3]))]
+        return jnp.concatenate([pose[:3, 3], lie.quaternion_so3(pose[:3, :3])])
 
 
 SPACES: dict[str, Space] = {"planar": Planar(), "spatial": Spatial()}

@@ -1,12 +1,13 @@
 """Gymnasium environments (extra `gym`) over the pure simulator of `simulation/environment.py`.
 
-    import gymnasium
     import foveate.gym
+    import gymnasium
 
+    gymnasium.register_envs(foveate.gym)  # the import has registered them: this says what it is for
     env = gymnasium.make("foveate/Tracking-v0", scenario="paper")
     envs = gymnasium.make_vec("foveate/Tracking-v0", num_envs=1024)
 
-The import registers them; `gymnasium.make("foveate.gym:foveate/Tracking-v0")` needs none.
+`gymnasium.make("foveate:foveate/Tracking-v0")` needs no import, and works in other processes, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,15 +25,13 @@ from foveate.gym.task import Task, TaskSettings
 from foveate.io.validate import require
 from foveate.scenario.scenario import Scenario
 
-ID = "foveate/Tracking-v0"
-"""Name of the environments in Gymnasium's registry."""
-
 
 class TrackingEnv(gymnasium.Env):
     """One agent among targets; the options are those of `TaskSettings`.
 
     An action has one number in [-1, 1] for each actuated axis. `reset(options={"targets": n})` gives n targets. A reset
     without a seed continues the last seed's sequence of episodes. `info["score"]` is the mean log det per target [nat].
+    A copy or a pickle continues the running episode.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012
@@ -46,10 +45,6 @@ class TrackingEnv(gymnasium.Env):
         self.observation_space, self.action_space = self._task.observation_space, self._task.action_space
         self.render_mode, self._over = render_mode, True
         self._screen = None
-        if render_mode is not None:
-            from foveate.gym.render import Screen
-
-            self._screen = Screen(self._task.problem, window=render_mode == "human")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; return its first observation, and the score of the initial beliefs as info."""
@@ -57,6 +52,10 @@ class TrackingEnv(gymnasium.Env):
         batch, targets = self._task.batch, self._task.targets(options or {})
         seen, score = batch.renew(self._task.keys([seed], self.np_random), targets=targets)
         self._over = False
+        if self.render_mode is not None and self._screen is None:
+            from foveate.gym.render import Screen
+
+            self._screen = Screen(self._task.problem, window=self.render_mode == "human")
         if self._screen:
             self._screen.begin(batch)
         return self._task.observation(seen, 0), {"score": float(score[0])}
@@ -71,7 +70,8 @@ class TrackingEnv(gymnasium.Env):
         if self._screen:
             self._screen.add(self._task.batch)
         seen = self._task.observation(steps.observed, 0)
-        return seen, float(steps.reward[0]), terminated, truncated, {"score": float(steps.score[0])}
+        info = {"score": float(steps.score[0]), **{name: int(x[0]) for name, x in self._task.contacts.items()}}
+        return seen, float(steps.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """Picture of the episode so far (height, width, 3); None with a window, which shows every step by itself."""
@@ -153,6 +153,7 @@ class TrackingVectorEnv(VectorEnv):
             raise ResetNeeded(f"{self._over.sum()} environments have no running episode: reset them first")
         steps = self._task.batch.step(self._task.actions(actions))
         infos: dict[str, Any] = {"score": steps.next_score, "_score": np.ones(self.num_envs, bool)}
+        infos |= self._task.contacts
         if not self._autoreset:
             self._over = steps.done
         elif steps.done.any():
@@ -167,6 +168,3 @@ class TrackingVectorEnv(VectorEnv):
             final_obs[i] = self._task.observation(steps.final, i)
         info = {"score": np.where(done, steps.score, 0.0), "_score": done.copy()}
         return {"final_obs": final_obs, "_final_obs": done.copy(), "final_info": info, "_final_info": done.copy()}
-
-
-gymnasium.register(id=ID, entry_point="foveate.gym:TrackingEnv", vector_entry_point="foveate.gym:TrackingVectorEnv")

@@ -14,20 +14,17 @@ class Screen:
     """Records and draws the episode of one environment; in a `window` too, if matplotlib's backend has windows."""
 
     def __init__(self, problem: Problem, window: bool) -> None:
-        self._problem = problem
-        self._pyplot: Any = None
+        self._problem, self._window = problem, window
         self._figure: Any = None
         self._image: Any = None
-        if window:
-            import matplotlib.pyplot
-
-            self._pyplot = matplotlib.pyplot
         self._truth: np.ndarray | None = None
 
     def begin(self, batch: Batch) -> None:
         """Begin with the initial beliefs of an episode."""
         assert batch.states is not None, "the batch has begun"
         episode = batch.states.episode
+        if episode.map_number is not None:
+            self._problem = self._problem.of_map(episode.map_number[0])
         self._horizon = int(episode.horizon[0])
         self._truth = None if episode.truth is None else np.asarray(episode.truth.state[0], float)
         present = np.asarray(episode.present[0] if episode.arrivals is None else episode.arrivals.present[0, 0])
@@ -47,9 +44,14 @@ class Screen:
 
     def close(self) -> None:
         """Close the window, if any."""
-        if self._pyplot is not None and self._figure is not None:
-            self._pyplot.close(self._figure)
+        if self._figure is not None:
+            from matplotlib import pyplot
+
+            pyplot.close(self._figure)
             self._figure = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_figure": None, "_image": None}  # a copy opens a window of its own
 
     def _data(self) -> EpisodeData:
         """Data of the whole episode; future instants repeat the last one, so that frame and axes stay in place."""
@@ -71,12 +73,14 @@ class Screen:
     def _append(self, *instant: Any) -> None:
         """Append pose, mean, information, presence and visibility; show them in the window, if any."""
         self._instants.append([np.asarray(values, None if values.dtype == bool else float) for values in instant])
-        if self._pyplot is None:
+        if not self._window:
             return
+        from matplotlib import pyplot
+
         frame = self.picture()
         if self._figure is None:
             height, width, _ = frame.shape
-            self._figure = self._pyplot.figure("foveate", figsize=(width / 100, height / 100), dpi=100)
+            self._figure = pyplot.figure("foveate", figsize=(width / 100, height / 100), dpi=100)
             self._image = self._figure.figimage(frame)
         self._image.set_data(frame)
-        self._pyplot.pause(0.01)  # draws, and lets the window respond
+        pyplot.pause(0.01)  # draws, and lets the window respond

@@ -1,5 +1,6 @@
 """Jobs with cached results: each result in a file, under a key that digests everything it depends on."""
 
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ class Job(Generic[T]):
     """A result that is computed once and cached: as named arrays if `path` ends in .npz, otherwise as JSON.
 
     `key` is evaluated when the job runs, since it may depend on files of earlier jobs. `encode` turns a result into the
-    file's content, and `decode` turns it back, raising ValueError, KeyError or TypeError for unexpected content. If an
-    `optional` file cannot be written, the job only warns.
+    file's content, and `decode` turns it back, raising ValueError, LookupError, TypeError or ArithmeticError for
+    unexpected content. If an `optional` file cannot be written, the job only warns.
     """
 
     path: Path
@@ -38,10 +39,10 @@ class Job(Generic[T]):
         `on_rejected` receives a line about a file that is damaged or has another key.
         """
         key = self.key()
-        if self.path.exists():
+        if os.path.exists(self.path):  # unlike Path.exists, False in a folder that this user may not enter
             try:
                 return self._load(key)
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, LookupError, TypeError, ArithmeticError) as error:
                 line = str(error) if isinstance(error, ValueError) else f"{self.path}: holds something else"
                 on_rejected(f"{line}: computed again")
                 if not self.optional:
@@ -50,10 +51,10 @@ class Job(Generic[T]):
         result = self.compute(*given)
         try:
             self._save(key, self.encode(result))
-        except OSError as error:
+        except (OSError, InputError) as error:
             if not self.optional:
                 raise
-            warnings.warn(f"{self.path}: not kept: {error.strerror or error}", stacklevel=2)
+            warnings.warn(f"{self.path}: not kept: {getattr(error, 'strerror', None) or error}", stacklevel=2)
         return result
 
     def _load(self, key: str) -> T:

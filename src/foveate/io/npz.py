@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import math
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,10 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.io.files import check_format, file_error, read_bytes, write_atomic
+from foveate.io.strict_json import parse_json
 
 _HEADER, _DIGEST = "header", "digest"
+_SHAPE_READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def save_arrays(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, Any]) -> None:
@@ -46,7 +49,7 @@ def load_arrays(path: str | Path, kind: str, newest: int) -> tuple[dict[str, Any
         raise file_error(path, f"is not an .npz archive; give a {kind} file that foveate wrote")
     try:
         arrays = _members(data)
-        header = json.loads(arrays.pop(_HEADER).tobytes()) if _HEADER in arrays else None
+        header = parse_json(arrays.pop(_HEADER).tobytes().decode()) if _HEADER in arrays else None
     except Exception as error:  # readers of a hostile or broken archive raise nearly anything
         problem = f"is cut short or damaged ({type(error).__name__}: {error})"
         raise file_error(path, f"{problem}; give a {kind} file as foveate wrote it") from error
@@ -63,13 +66,32 @@ def _members(data: bytes) -> dict[str, np.ndarray]:
     """Arrays of an archive; each is read to its end, which verifies its checksum, before it is parsed."""
     arrays = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for member in archive.infolist():
+        members = archive.infolist()
+        # Members may overlap: a small file could hold a large one many times.
+        if sum(member.file_size for member in members) > len(data):
+            raise InputError("its members are larger than the file")
+        for member in members:
             name, suffix = member.filename[:-4], member.filename[-4:]
             # Uncompressed members only: a small file cannot unpack to a huge one.
-            if suffix != ".npy" or name in arrays or member.compress_type != zipfile.ZIP_STORED:
-                raise InputError(f"strange member {member.filename!r}")
-            arrays[name] = np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
+            is_plain = member.compress_type == zipfile.ZIP_STORED and member.compress_size == member.file_size
+            if suffix != ".npy" or name in arrays or not is_plain:
+                raise InputError(f"strange member {member.filename!r:.60}")
+            arrays[name] = _array(archive.read(member))
     return arrays
+
+
+def _array(data: bytes) -> np.ndarray:
+    """Array of a member, whose own header must state the bytes that follow it: nothing larger is ever made."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version not in _SHAPE_READERS:
+        raise InputError(f"an array of version {version}")
+    shape, is_fortran, dtype = _SHAPE_READERS[version](file)
+    if dtype.kind in "OV":
+        raise InputError(f"an array of type {dtype}")
+    if math.prod(shape) * dtype.itemsize != len(data) - file.tell():
+        raise InputError(f"an array of {shape} {dtype}, which is not as long")
+    return np.ndarray(shape, dtype, data, file.tell(), order="F" if is_fortran else "C").copy(order="K")
 
 
 def _check(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, Any]) -> None:
@@ -84,7 +106,7 @@ def _check(path: str | Path, arrays: dict[str, np.ndarray], header: dict[str, An
     for name, array in arrays.items():
         if name == _HEADER or "\0" in name:
             raise file_error(path, f"an array cannot be named {name!r}; choose another name")
-        if array.dtype.hasobject or np.dtype(array.dtype.str) != array.dtype:
+        if array.dtype.kind in "OV" or np.dtype(array.dtype.str) != array.dtype:
             right = "expected a plain number or text type, as float32"
             raise file_error(path, f"the array {name!r} has the type {array.dtype}; {right}")
 

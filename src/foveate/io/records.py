@@ -15,22 +15,27 @@ _DESCRIPTIONS = {int: "a whole number", float: "a finite number", bool: "true or
 
 
 @dataclass(frozen=True, kw_only=True)
-class _At:
-    """Place in a file or table, for error messages."""
+class At:
+    """Place in a file or table, or in an object `in_python`, for error messages."""
 
     source: str
     path: str = ""
+    in_python: bool = False
 
-    def key(self, name: str) -> "_At":
+    def key(self, name: str) -> "At":
+        """Place of a key here."""
         return replace(self, path=f"{self.path}.{name}" if self.path else name)
 
-    def item(self, index: int) -> "_At":
+    def item(self, index: int) -> "At":
+        """Place of an item of the list here."""
         return replace(self, path=f"{self.path}[{index}]")
 
     def error(self, problem: str) -> InputError:
+        """Error of a problem here."""
         return file_error(self.source, f"{self.path}: {problem}" if self.path else problem)
 
     def invalid(self, value: Any, problem: str) -> InputError:
+        """Error of the value here."""
         place = f"{self.path} = " if self.path else ""
         return file_error(self.source, f"{place}{_quoted(value)}: {problem}")
 
@@ -38,11 +43,12 @@ class _At:
 def from_table(cls: type[T], table: dict[str, Any], where: str) -> T:
     """Return an instance of the dataclass `cls` from a table; missing keys take the class's defaults.
 
-    Keys in the ClassVar `RENAMED` of a dataclass may have their old name. InputError is one line that names the source
-    `where`, the dotted path of the key, its value and what would be right: for unknown, mistyped and missing keys,
-    numbers that are not finite, and whatever `__post_init__` rejects.
+    Keys in the ClassVar `RENAMED` of a dataclass may have their old name, and those in `REMOVED`, which have lost their
+    meaning, are ignored. InputError is one line that names the source `where`, the dotted path of the key, its value
+    and what would be right: for unknown, mistyped and missing keys, numbers that are not finite, and whatever
+    `__post_init__` rejects.
     """
-    return _record(cls, table, _At(source=where))
+    return _record(cls, table, At(source=where))
 
 
 def to_table(instance: Any) -> dict[str, Any]:
@@ -50,7 +56,7 @@ def to_table(instance: Any) -> dict[str, Any]:
 
     Raises InputError for numbers that are not finite, and None in a field with another default.
     """
-    at = _At(source=type(instance).__name__)
+    at = At(source=type(instance).__name__)
     # Read back once: whole numbers in float fields become floats, so that equal instances give equal tables.
     read_back = _record(type(instance), _plain(instance, at), at)
     if read_back != instance:
@@ -65,7 +71,7 @@ def with_first_names(table: dict[str, Any], instance: Any) -> dict[str, Any]:
     named = {}
     for key, value in table.items():
         name = renamed.get(key, key)
-        part = getattr(instance, name)
+        part = getattr(instance, name, None)  # None for a removed key
         is_table = is_dataclass(part) and isinstance(value, dict)
         named[first.get(name, name)] = with_first_names(value, part) if is_table else value
     return named
@@ -78,7 +84,9 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     return f"did you mean {near[0]}?" if near else f"known are {', '.join(names[:9])}{', ..' * (len(names) > 9)}"
 
 
-def _record(cls: Any, table: Any, at: _At) -> Any:
+def _record(cls: Any, table: Any, at: At) -> Any:
+    if at.in_python:
+        return _object([cls], table, at)
     if not isinstance(table, dict):
         raise at.invalid(table, "expected a table")
     table = _with_current_names(cls, table, at)
@@ -87,7 +95,7 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
     for key in table:
         if key not in settable:
             raise at.key(key).invalid(table[key], f"unknown key; {suggestion(key, settable)}")
-    values = {name: _value(hints[name], table[name], at.key(name)) for name in settable if name in table}
+    values = {name: converted(hints[name], table[name], at.key(name)) for name in settable if name in table}
     for name, field in settable.items():
         if name in table or _has_default(field):
             continue
@@ -100,17 +108,18 @@ def _record(cls: Any, table: Any, at: _At) -> Any:
         raise at.error(str(error)) from error
 
 
-def _with_current_names(cls: Any, table: dict[str, Any], at: _At) -> dict[str, Any]:
-    """Replace old keys, from the ClassVar `RENAMED` of a dataclass, by their current names."""
+def _with_current_names(cls: Any, table: dict[str, Any], at: At) -> dict[str, Any]:
+    """Replace the keys in the ClassVar `RENAMED` of a dataclass by their current names; drop those in `REMOVED`."""
     renamed = getattr(cls, "RENAMED", {})
     for old in table.keys() & renamed.keys():
         if renamed[old] in table:
             raise at.key(old).invalid(table[old], f"is the former name of {renamed[old]}: give one of them")
-    return {renamed.get(key, key): value for key, value in table.items()}
+    removed = getattr(cls, "REMOVED", ())
+    return {renamed.get(key, key): value for key, value in table.items() if key not in removed}
 
 
-def _value(hint: Any, value: Any, at: _At) -> Any:
-    """Convert `value` to the type `hint`."""
+def converted(hint: Any, value: Any, at: At) -> Any:
+    """Convert `value`, plain or, in Python, an object of the right class, to the type `hint`."""
     origin = get_origin(hint)
     if is_dataclass(hint):
         return _record(hint, value, at)
@@ -128,7 +137,7 @@ def _value(hint: Any, value: Any, at: _At) -> Any:
     return float(value) if hint is float else value
 
 
-def _tuple(hint: Any, value: Any, at: _At) -> tuple[Any, ...]:
+def _tuple(hint: Any, value: Any, at: At) -> tuple[Any, ...]:
     """Convert a list to a tuple, of any length for `tuple[X, ...]`."""
     parts = get_args(hint)
     if not isinstance(value, list | tuple):
@@ -137,10 +146,10 @@ def _tuple(hint: Any, value: Any, at: _At) -> tuple[Any, ...]:
         parts = (parts[0],) * len(value)
     if len(value) != len(parts):
         raise at.invalid(value, f"expected {_description(hint)}, not {len(value)}")
-    return tuple(_value(part, value[i], at.item(i)) for i, part in enumerate(parts))
+    return tuple(converted(part, value[i], at.item(i)) for i, part in enumerate(parts))
 
 
-def _choice(options: Iterable[Any], value: Any, at: _At) -> Any:
+def _choice(options: Iterable[Any], value: Any, at: At) -> Any:
     """Return the option that equals `value`, in type too, since True == 1."""
     for option in options:
         if type(option) is type(value) and option == value:
@@ -148,13 +157,15 @@ def _choice(options: Iterable[Any], value: Any, at: _At) -> Any:
     raise at.invalid(value, f"expected {_one_of(options)}")
 
 
-def _member(hint: Any, value: Any, at: _At) -> Any:
+def _member(hint: Any, value: Any, at: At) -> Any:
     """Convert `value` to the member of a union that its tag selects."""
     members = [member for member in get_args(hint) if member is not NoneType]
     if value is None and NoneType in get_args(hint):
         return None
     if len(members) == 1:
-        return _value(members[0], value, at)
+        return converted(members[0], value, at)
+    if at.in_python:
+        return _object(members, value, at)
     tag, selected = _tag(members)
     if not isinstance(value, dict):
         raise at.invalid(value, "expected a table")
@@ -166,6 +177,13 @@ def _member(hint: Any, value: Any, at: _At) -> Any:
     if len(lacking) != 1:
         raise at.key(tag).error(f"is missing; expected {_one_of(selected)}")
     return _record(lacking[0], value, at)
+
+
+def _object(classes: list[Any], value: Any, at: At) -> Any:
+    """Return `value`, an object of one of the classes."""
+    if not isinstance(value, tuple(classes)):
+        raise at.invalid(value, f"expected {' or '.join(cls.__name__ for cls in classes)}")
+    return value
 
 
 def _tag(members: list[Any]) -> tuple[str, dict[Any, Any]]:
@@ -187,10 +205,11 @@ def _tag(members: list[Any]) -> tuple[str, dict[Any, Any]]:
 
 
 def _has_default(field: Field[Any]) -> bool:
-    return field.default is not MISSING or field.default_factory is not MISSING
+    """True if tables may leave the field out."""
+    return (field.default is not MISSING or field.default_factory is not MISSING) and not field.metadata.get("tag")
 
 
-def _plain(value: Any, at: _At) -> Any:
+def _plain(value: Any, at: At) -> Any:
     """Convert `value` to types that TOML has."""
     if is_dataclass(value):
         items = {field.name: getattr(value, field.name) for field in fields(value) if field.init}

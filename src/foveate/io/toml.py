@@ -9,7 +9,7 @@ with other fields raises TypeError, wrong input InputError.
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +20,23 @@ VERSION = 1
 """Version of the files that `save_toml` writes."""
 MAX_KEY_PARTS = 20
 """Most parts that a dotted key in a file may have; foveate's have three at most."""
+MAX_TOML_BYTES = 4 << 20
+"""Largest configuration that is read; foveate's have a few thousand bytes."""
 _PIECES, _QUOTED = re.compile(r"[=,{}\[\]#\n]"), re.compile(r"[\"'][ \t]*\.|\.[ \t]*[\"']")
 
 
-def load_toml(cls: type[T], path: str | Path) -> T:
+def load_toml(cls: type[T], path: str | Path, on_change: Callable[[str], None] | None = None) -> T:
     """Read an instance of the dataclass `cls` from a TOML file. Raises as `read_toml`."""
-    return read_toml(cls, path)[0]
+    return read_toml(cls, path, on_change)[0]
 
 
-def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
+def read_toml(cls: type[T], path: str | Path, on_change: Callable[[str], None] | None = None) -> tuple[T, str]:
     """Read an instance of the dataclass `cls` from a TOML file, and the digest of the file's content.
 
     The digest stays the same when `cls` gets further fields. Raises InputError of one line, naming file and key, also
-    if the content has changed since `save_toml` sealed it.
+    if the content has changed since `save_toml` sealed it: unless there is `on_change`, which is told so.
     """
-    text = read_text(path, "configuration file (TOML)")
+    text = read_text(path, "configuration file (TOML)", MAX_TOML_BYTES)
     if _has_long_key(text):
         raise file_error(path, f"has a key of more than {MAX_KEY_PARTS} parts; give one as foveate writes it")
     try:
@@ -49,8 +51,10 @@ def read_toml(cls: type[T], path: str | Path) -> tuple[T, str]:
     instance = from_table(cls, table, str(path))
     content = content_digest(with_first_names(table, instance))[:16]
     if header.get("digest", content) != content:
-        hint = "if you changed it yourself, delete its line 'digest = ..'"
-        raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
+        if on_change is None:
+            hint = "if you changed it yourself, delete its line 'digest = ..'"
+            raise file_error(path, f"is cut short, damaged, or was changed: it does not fit its digest; {hint}")
+        on_change(f"{path}: was changed since foveate wrote it (its digest does not fit): taken as it is now")
     return instance, content
 
 
@@ -62,16 +66,21 @@ def _has_long_key(text: str) -> bool:
 
 
 def save_toml(instance: Any, path: str | Path, header: str = "", sealed: bool = True) -> None:
-    """Write a dataclass as TOML with its format and version, after `header` as a comment.
+    """Write a dataclass as the text of `document`."""
+    write_atomic(path, document(instance, header, sealed).encode())
 
-    A `sealed` file has a digest, by which `load_toml` detects every change: not for files that people edit.
+
+def document(instance: Any, header: str = "", sealed: bool = True) -> str:
+    """Return a dataclass as TOML with its format and version, after `header` as a comment.
+
+    A `sealed` text has a digest, by which `load_toml` detects every change: not for files that people edit.
     """
     # The digest comes first, so that a truncated file still has it.
     seal, hint = [f'digest = "{digest(instance)}"'], ["After a change by hand delete the line that begins with: digest"]
     comment = _comment("\n".join([header, *hint * sealed]).strip())
     name = f'format = "foveate-{type(instance).__name__.lower()}"'
     lines = [*comment, *seal * sealed, name, f"version = {VERSION}", "", dumps_toml(instance)]
-    write_atomic(path, "\n".join(lines).encode())
+    return "\n".join(lines)
 
 
 def dumps_toml(instance: Any, header: str = "") -> str:

@@ -35,14 +35,20 @@ def at_least(least: int, settings: object, *names: str) -> None:
 
 def seed_number(seed: int, name: str) -> None:
     """Raise InputError unless the seed is in 0 .. 2^32 - 1."""
-    if not 0 <= seed < 2**32:
+    if not _is_whole(seed) or not 0 <= seed < 2**32:
         raise InputError(f"{name} {seed}: expected a whole number from 0 to {2**32 - 1}")
 
 
 def check_count(value: int | None, name: str) -> None:
     """Raise InputError unless a count is None or from 1 to MAX_COUNT."""
+    if value is not None and not _is_whole(value):
+        raise InputError(f"{name} {value}: expected a whole number")
     if value is not None and not 1 <= value <= MAX_COUNT:
         raise InputError(f"{name} {value}: expected {'>= 1' if value < 1 else f'<= {MAX_COUNT}'}")
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def representable(settings: Any, path: str = "", least: float = SMALLEST) -> None:

@@ -2,81 +2,70 @@
 
 The gradient through a soft view leads uphill from the current policy; it cannot tell that another target would have
 been the better choice, and it is not that of the real view. Here the policy samples its modes in batches of episodes
-with truth, noise and the real filter, and a critic, discarded after training, estimates the return. Episodes are short,
-so each is simulated to its end, and no value is bootstrapped beyond it.
+with truth, noise and the real filter, and a critic, discarded after training, estimates the return.
 """
 
-import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, UInt32
+from jaxtyping import Key as Keys
 
 from foveate.errors import InputError
-from foveate.experiment.learners import ActorCriticSettings, Objective
+from foveate.experiment.learners import ActorCriticSettings
 from foveate.geometry.linalg import log_det_spd
-from foveate.learning.learner import EpochReport, Learner, step_scores
-from foveate.models.problem import Problem
-from foveate.policies.inputs import pointer_feature_count
-from foveate.policies.layers import Layers, apply_relu, fresh_layers
-from foveate.policies.pointer import Modes, PointerPolicy, SetEncoder
-from foveate.scenario.scenes import SceneSettings
-from foveate.simulation.episodes import training_episode
-from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, Protocol, per_target
-from foveate.simulation.rollout import Outcome, simulate
+from foveate.learning.critic import Critic, Samples, judge, moments, new_critic, rescaled, samples_of
+from foveate.learning.learner import EpochReport, Learner
+from foveate.learning.shards import over_shards
+from foveate.learning.trajectories import (
+    Ongoing,
+    Trajectory,
+    begin_ongoing,
+    continued,
+    cut,
+    log_density,
+    play,
+    plays_whole,
+    window_steps,
+)
+from foveate.learning.worlds import World, informed, most_targets
+from foveate.policies.pointer import Modes, PointerPolicy
+from foveate.policies.tokens import token_size
+from foveate.simulation.records import Policy
 from foveate.simulation.step import start
-from foveate.types import Action, Key, Scalar
+from foveate.types import Count, Key, Scalar
 
-CRITIC_WIDTH, CRITIC_QUERIES, CRITIC_LENGTH_M = 64, 4, 5.0
-"""Size of the critic's network, and its unit of length [m]."""
-
-
-class Critic(eqx.Module):
-    """Value network: the expected return of the steps left, from an observation."""
-
-    encoder: SetEncoder
-    value_layers: Layers
-
-    def __call__(self, observation: Observation) -> Scalar:
-        """The value of an observation [nat per target, or share of time]."""
-        hidden = apply_relu(self.value_layers[:-1], self.encoder(observation)[1])
-        return self.value_layers[-1](hidden)[0]
+SHARDS = 2
+"""Parts of a batch, which the cores share."""
 
 
-class Trajectory(NamedTuple):
-    """Every step of an episode; `counts` marks those before the horizon."""
+def begin(worlds: Sequence[World], policy: Policy, settings: ActorCriticSettings, key: Key) -> Learner:
+    """A learner before its first epoch, with a new critic.
 
-    observation: Observation
-    action: Float[Array, "K m"]
-    log_density: Float[Array, " K"]
-    reward: Float[Array, " K"]
-    counts: Bool[Array, " K"]
-
-
-class Samples(NamedTuple):
-    """Steps of many episodes, in any order."""
-
-    observation: Observation
-    action: Float[Array, "rows m"]
-    log_density: Float[Array, " rows"]
-    advantage: Float[Array, " rows"]
-    value_target: Float[Array, " rows"]
-    counts: Bool[Array, " rows"]
-
-
-def begin(problem: Problem, policy: Policy, settings: ActorCriticSettings, key: Key) -> Learner:
-    """A learner before its first epoch, with a new critic. Raises InputError for a policy without modes."""
+    Raises InputError for a policy without modes, or for fewer decisions than minibatches.
+    """
     if not isinstance(policy, PointerPolicy):
         raise InputError("training.algorithm = 'actor-critic': expected policy.kind = 'pointer', which has modes")
-    features, width, pooled = pointer_feature_count(problem), CRITIC_WIDTH, CRITIC_QUERIES * CRITIC_WIDTH
-    widths = ((features, width, width, width), (width, CRITIC_QUERIES), (pooled, width, width, 1))
-    target, query, value = fresh_layers(widths, key)
-    critic = Critic(SetEncoder(target, query, problem.agent.space, CRITIC_LENGTH_M), value)
+    if minibatch_size(worlds, settings) == 0:
+        least = SHARDS * settings.minibatches
+        raise InputError(f"training.episodes = {settings.episodes}: expected episodes of {least} decisions in all")
+    network_key, ongoing_key = jax.random.split(key)
+    critic = new_critic(token_size(worlds[0].problem), network_key, len(worlds))
     parameters = eqx.filter((policy, critic), eqx.is_inexact_array)
-    return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int), critic)
+    keys = [ongoing_key] if len(worlds) == 1 else jax.random.split(ongoing_key, len(worlds))
+    ongoing = tuple(begin_ongoing(world, settings, key) for world, key in zip(worlds, keys, strict=True))
+    ongoing = jax.tree.map(lambda x: x.reshape(SHARDS, -1, *x.shape[1:]), ongoing)
+    return Learner(policy, optimizer(settings).init(parameters), jnp.zeros((), int), critic, ongoing)
+
+
+def minibatch_size(worlds: Sequence[World], settings: ActorCriticSettings) -> int:
+    """Decisions of a minibatch, in each of the SHARDS of a batch."""
+    return sum(settings.decisions(world.scenes) for world in worlds) // settings.minibatches // SHARDS
 
 
 def optimizer(settings: ActorCriticSettings) -> optax.GradientTransformation:
@@ -84,16 +73,11 @@ def optimizer(settings: ActorCriticSettings) -> optax.GradientTransformation:
 
     def adam(rate: float) -> optax.GradientTransformation:
         schedule = optax.cosine_decay_schedule(rate, settings.epochs * settings.updates)
-        return optax.chain(optax.clip_by_global_norm(settings.gradient_bound), optax.adam(schedule))
+        # On one flat vector: dozens of small arrays cost more in dispatch than in arithmetic.
+        return optax.flatten(optax.chain(optax.clip_by_global_norm(settings.gradient_bound), optax.adam(schedule)))
 
     rates = {"policy": settings.learning_rate, "critic": settings.critic_learning_rate}
     return optax.partition({name: adam(rate) for name, rate in rates.items()}, ("policy", "critic"))
-
-
-def log_density(modes: Modes, action: Action, action_std: Scalar) -> Scalar:
-    """log of the mixture's density at an action, up to a constant that depends on `action_std` only."""
-    exponent = jnp.sum((action - modes.action) ** 2, axis=-1) / (2.0 * action_std**2)
-    return jax.nn.logsumexp(jax.nn.log_softmax(modes.log_weight) - exponent)
 
 
 def entropy(modes: Modes) -> Scalar:
@@ -102,87 +86,45 @@ def entropy(modes: Modes) -> Scalar:
     return -jnp.sum(jnp.exp(log_weight) * log_weight)
 
 
-def rewards(
-    log_det: Float[Array, "K n"], visible: Bool[Array, "K n"], first: Scalar, episode: Episode, objective: Objective
-) -> Float[Array, " K"]:
-    """Rewards whose sum is the episode's objective; with "terminal" less `first`, its initial log det [nat]."""
-    scores = step_scores(visible.astype(log_det.dtype) if objective == "seen" else log_det, episode)
-    steps = episode.horizon.astype(scores.dtype)
-    reward = jnp.diff(scores, prepend=first) if objective == "terminal" else scores / steps
-    return jnp.where(jnp.arange(len(scores)) < episode.horizon, reward, 0.0)
-
-
-def sample_trajectory(
-    problem: Problem,
-    policy: PointerPolicy,
-    episode: Episode,
-    protocol: Protocol,
-    objective: Objective,
-    action_std: Scalar,
-    key: Key,
-) -> Trajectory:
-    """Simulate one episode; each action is sampled from a Gaussian about that of a mode, sampled by its weight."""
-
-    def decide(observation, memory, key):
-        mode_key, noise_key = jax.random.split(key)
-        modes = policy.modes(observation)
-        mean = modes.action[jax.random.categorical(mode_key, modes.log_weight)]
-        action = mean + action_std * jax.random.normal(noise_key, mean.shape)
-        # The density is that of the sampled action, before the agent clips it.
-        return jnp.clip(action, -1.0, 1.0), memory, (action, log_density(modes, action, action_std))
-
-    def record(done: Outcome):
-        return done.observation, *done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured
-
-    observation, action, density, log_det, visible = simulate(problem, decide, episode, protocol, key, record)
-    initial = start(problem, episode, protocol)
-    first = per_target(jnp.mean(log_det_spd(initial.information), axis=0), initial.present)
-    reward = rewards(log_det, visible, first, episode, objective)
-    return Trajectory(observation, action, density, reward, jnp.arange(len(reward)) < episode.horizon)
-
-
-def advantages(
-    reward: Float[Array, " K"], value: Float[Array, " K"], counts: Bool[Array, " K"], gae_lambda: float
-) -> Float[Array, " K"]:
-    """A_k = delta_k + lambda A_{k+1}, delta_k = r_k + V_{k+1} - V_k, zero after the horizon (Schulman 2016)."""
-    next_value = jnp.append(jnp.where(counts[1:], value[1:], 0.0), 0.0)
-
-    def step(following, inputs):
-        delta, count = inputs
-        advantage = jnp.where(count, delta + gae_lambda * following, 0.0)
-        return advantage, advantage
-
-    return jax.lax.scan(step, jnp.zeros_like(value[0]), (reward + next_value - value, counts), reverse=True)[1]
-
-
 def gather(
-    problem: Problem,
-    scenes: SceneSettings,
+    world: World,
     settings: ActorCriticSettings,
-    learner: Learner,
+    policy: PointerPolicy,
     action_std: Scalar,
-    key: Key,
-) -> tuple[Samples, Scalar]:
-    """Simulate a batch of new episodes; return all their steps, and the mean score of the episodes."""
-    policy, critic = _networks(learner)
-    share, batches = settings.episodes // len(settings.protocols), []
-    for i, name in enumerate(settings.protocols):
-        scene_key, action_key = jax.random.split(jax.random.fold_in(key, i))
+    keys: Keys[Array, " trajectories"],
+    ongoing: Ongoing | None,
+) -> tuple[Trajectory, Ongoing | None]:
+    """Play as many trajectories as there are keys; return them, and the episodes in progress."""
+    scenes, policy = world.scenes, informed(policy, world, settings)
+    length, discounted = window_steps(scenes, settings), settings.discount_of(scenes) < 1.0
+    whole = plays_whole(scenes, settings)
+    share, batches = len(keys) // len(settings.protocols), []
+    for i in range(len(settings.protocols)):
+        rows, protocol = slice(i * share, (i + 1) * share), settings.protocol_of(i)
 
-        def sample(scene_key, action_key, protocol=PROTOCOLS[name]):
-            episode = training_episode(problem, scenes, scene_key, noise=True)
-            return sample_trajectory(problem, policy, episode, protocol, settings.objective, action_std, action_key)
+        def play_one(key, one, protocol=protocol):
+            scene_key, action_key = jax.random.split(key)
+            problem, episode = world.drawn(scene_key if one is None else one.key)
+            if one is None:
+                state, ends = start(problem, episode, protocol), episode.horizon
+            else:
+                episode, state, ends = cut(episode, one.state.step, length), one.state, one.ends
+            how = (protocol, world.objective, action_std, action_key, state, ends, discounted, whole)
+            trajectory, last = play(problem, policy, episode, *how)
+            return trajectory, None if one is None else continued(world, protocol, one, last, scene_key)
 
-        batches.append(jax.vmap(sample)(jax.random.split(scene_key, share), jax.random.split(action_key, share)))
-    batch: Trajectory = jax.tree.map(lambda *parts: jnp.concatenate(parts), *batches)
-    value = jax.vmap(jax.vmap(critic))(batch.observation)
-    advantage = jax.vmap(advantages, (0, 0, 0, None))(batch.reward, value, batch.counts, settings.gae_lambda)
-    mean, std = (of(advantage, where=batch.counts) for of in (jnp.mean, jnp.std))
-    scaled = (advantage - mean) / (std + 1e-8)
-    samples = Samples(batch.observation, batch.action, batch.log_density, scaled, advantage + value, batch.counts)
-    initial = log_det_spd(problem.prior_information) if settings.objective == "terminal" else 0.0
-    score = initial + jnp.mean(jnp.sum(batch.reward, axis=-1))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples), score
+        part = None if ongoing is None else jax.tree.map(lambda x, rows=rows: x[rows], ongoing)
+        batches.append(jax.vmap(play_one)(keys[rows], part))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *batches)
+
+
+def score_of(world: World, settings: ActorCriticSettings, trajectory: Trajectory) -> Scalar:
+    """Mean score of whole episodes; of windows the mean growth of the score, or share of time in view, per step."""
+    total = jnp.sum(trajectory.reward, axis=-1)
+    if not plays_whole(world.scenes, settings):
+        return jnp.mean(total / jnp.maximum(jnp.sum(trajectory.counts, axis=-1), 1).astype(total.dtype))
+    initial = log_det_spd(world.problem.prior_information) if world.objective == "terminal" else 0.0
+    return initial + jnp.mean(total)
 
 
 def _networks(learner: Learner) -> tuple[PointerPolicy, Critic]:
@@ -194,43 +136,102 @@ def loss(
     policy: PointerPolicy, critic: Critic, rows: Samples, action_std: Scalar, settings: ActorCriticSettings
 ) -> Scalar:
     """Mean clipped loss of PPO, with the modes' entropy and the critic's squared error, over rows that count."""
-    modes = jax.vmap(policy.modes)(rows.observation)
-    ratio = jnp.exp(jax.vmap(log_density, (0, 0, None))(modes, rows.action, action_std) - rows.log_density)
+
+    def density(tokens, action):
+        modes = policy.modes(tokens)
+        return log_density(modes, action, action_std * tokens.unit), entropy(modes)
+
+    new, choice = jax.vmap(density)(rows.tokens, rows.action)
+    ratio = jnp.exp(new - rows.log_density)
     bounded = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
     gain = jnp.minimum(ratio * rows.advantage, bounded * rows.advantage)
-    error = jax.vmap(critic)(rows.observation) - rows.value_target
-    cost = error**2 - gain - settings.entropy_weight * jax.vmap(entropy)(modes)
+    error = jax.vmap(critic.normalised)(rows.tokens) - rows.value_target
+    cost = 0.5 * error**2 - gain - settings.entropy_weight * choice
     return jnp.sum(jnp.where(rows.counts, cost, 0.0)) / jnp.maximum(jnp.sum(rows.counts), 1).astype(cost.dtype)
 
 
 def epoch(
-    problem: Problem, scenes: SceneSettings, settings: ActorCriticSettings, learner: Learner, key: Key
+    worlds: Sequence[World], settings: ActorCriticSettings, learner: Learner, key: Key
 ) -> tuple[Learner, EpochReport]:
-    """Simulate a batch and learn from it for `update_epochs`; random numbers of epoch i depend on (key, i) alone."""
+    """Simulate a batch and learn from it for `update_epochs`; random numbers of epoch i depend on (key, i) alone.
+
+    The batch has SHARDS parts, on as many devices as there are: numbers do not depend on the number of cores.
+    """
     batch_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
+    counts = [settings.trajectories(world.scenes) // SHARDS for world in worlds]
+    keys = jax.random.split(batch_key, (SHARDS, sum(counts)))
+    parts = (jax.random.key_data(keys), jax.random.key_data(jax.random.split(order_key, SHARDS)), learner.ongoing)
+    arrays, static = eqx.partition(replace(learner, ongoing=None), eqx.is_array)
+
+    def on_device(arrays, parts, total):
+        return _epoch_of_shards(worlds, settings, eqx.combine(arrays, static), parts, total)
+
+    trained, ongoing, report = over_shards(on_device, arrays, parts, SHARDS)
+    return replace(eqx.combine(trained, static), ongoing=ongoing), report
+
+
+def _epoch_of_shards(worlds, settings, learner, parts, total):
+    """An epoch on some of the shards; `total` sums a part of each over all of them."""
+    keys, order_keys, ongoing = parts
     first, last = settings.action_std
     action_std = first + (last - first) * jnp.asarray(learner.epoch, float) / settings.epochs
-    samples, score = gather(problem, scenes, settings, learner, action_std, batch_key)
-    parameters, rest = eqx.partition(_networks(learner), eqx.is_inexact_array)
-    # In each pass, rows that count come first, in a new order; a minibatch has one size, whatever the batch.
-    size = math.ceil(settings.episodes * scenes.mean_horizon) // settings.minibatches
+    policy, critic = _networks(learner)
+
+    def collect(part):
+        keys, ongoing = part
+        keys, end, found = jax.random.wrap_key_data(keys), 0, []
+        for i, world in enumerate(worlds):
+            first, end = end, end + settings.trajectories(world.scenes) // SHARDS
+            trajectory, after = gather(world, settings, policy, action_std, keys[first:end], ongoing[i])
+            judged = judge(critic, trajectory, settings, settings.discount_of(world.scenes), i)
+            found.append((judged, after, score_of(world, settings, trajectory)))
+        return tuple(zip(*found, strict=True))
+
+    judged, ongoing, scores = jax.lax.map(collect, (keys, ongoing))
+    critic, samples = _on_scale(worlds, critic, judged, total)
+    parameters, rest = eqx.partition((policy, critic), eqx.is_inexact_array)
+    size = minibatch_size(worlds, settings)
 
     def cost(parameters, rows):
         policy, critic = eqx.combine(parameters, rest)
-        return loss(policy, critic, rows, action_std, settings)
+        return loss(policy, critic, rows, action_std, settings) / SHARDS
 
-    def update(i, carry):
+    def update(carry, rows):
         parameters, state, largest = carry
-        number, part = i // settings.minibatches, i % settings.minibatches
-        rank = jax.random.uniform(jax.random.fold_in(order_key, number), samples.counts.shape)
-        order = jnp.argsort(jnp.where(samples.counts, rank, 2.0))
-        rows = jax.tree.map(lambda x: x[jax.lax.dynamic_slice_in_dim(order, part * size, size)], samples)
-        gradient = jax.grad(cost)(parameters, rows)
+        gradient = total(jax.lax.map(lambda rows: jax.grad(cost)(parameters, rows), rows))
         updates, state = optimizer(settings).update(gradient, state, parameters)
-        return eqx.apply_updates(parameters, updates), state, jnp.maximum(largest, optax.tree.norm(gradient[0]))
+        return (eqx.apply_updates(parameters, updates), state, jnp.maximum(largest, optax.tree.norm(gradient[0]))), None
+
+    def go_through(i, carry):
+        deal = partial(_minibatches, number=i, count=settings.minibatches, size=size)
+        rows = jax.vmap(deal, out_axes=1)(samples, order_keys)
+        return jax.lax.scan(update, carry, rows)[0]
 
     initial = (parameters, learner.optimizer, jnp.zeros(()))
-    parameters, state, norm = jax.lax.fori_loop(0, settings.updates, update, initial)
+    parameters, state, norm = jax.lax.fori_loop(0, settings.update_epochs, go_through, initial)
     policy, critic = eqx.combine(parameters, rest)
+    score = jnp.mean(jnp.stack([total(score) for score in scores])) / SHARDS
     finite = jnp.isfinite(score) & jnp.isfinite(optax.tree.norm(parameters)) & jnp.isfinite(norm)
-    return Learner(policy, state, learner.epoch + 1, critic), EpochReport(score, norm, finite)
+    learner = Learner(policy, state, learner.epoch + 1, critic)
+    return eqx.filter(learner, eqx.is_array), ongoing, EpochReport(score, norm, finite)
+
+
+def _on_scale(worlds, critic, judged, total):
+    """The critic and the samples of all worlds, with each world's advantages and returns on its own scale."""
+    sums = jnp.stack([total(jax.vmap(moments)(each)) for each in judged])  # (worlds, advantages and returns, moments)
+    mean, square = sums[..., 1] / sums[..., 0], sums[..., 2] / sums[..., 0]
+    std, most = jnp.sqrt(jnp.maximum(square - mean**2, 0.0)), most_targets(worlds)
+    critic = rescaled(critic, mean[:, 1], std[:, 1])
+    samples = [
+        jax.vmap(lambda part, i=i: samples_of(part, critic, mean[i, 0], std[i, 0], i, most))(each)
+        for i, each in enumerate(judged)
+    ]
+    return critic, jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=1), *samples)
+
+
+def _minibatches(samples: Samples, order_key: UInt32[Array, " words"], number: Count, count: int, size: int) -> Samples:
+    """Minibatches of one size, whatever the batch, in a new order for each pass; rows that count come first."""
+    key = jax.random.fold_in(jax.random.wrap_key_data(order_key), number)
+    rank = jax.random.uniform(key, samples.counts.shape)
+    order = jnp.argsort(jnp.where(samples.counts, rank, 2.0))[: count * size]
+    return jax.tree.map(lambda x: x[order].reshape(count, size, *x.shape[1:]), samples)

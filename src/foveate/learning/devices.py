@@ -9,7 +9,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -30,19 +30,41 @@ HEARTBEAT_S = 20
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """A container's limit on Linux: processor time, or max, and its period, both in microseconds."""
 
+MAX_LANES = 64
+"""Most sums of micro-batches that are kept apart, and so the most cores that a training uses."""
+
 T = TypeVar("T")
+H = TypeVar("H", bound=Hashable)
 
 
 class ProcessLost(Exception):
     """Another process of this training is gone."""
 
 
-class Sharding(NamedTuple):
-    """A batch as consecutive `rounds`, each of `size` episodes on each of `devices`."""
+class Share(NamedTuple):
+    """Part of a batch whose episodes have one shape: their number, the most at once on a device, the cost of one."""
+
+    episodes: int
+    micro_batch: int
+    cost: float = 1.0
+
+
+class Schedule(NamedTuple):
+    """Micro-batches of every share, of `sizes` episodes each, on `devices`.
+
+    `parts` has for each share the numbers of the micro-batches that each device works on, in order. The results of all
+    with the same number in `lanes` (for each share, by micro-batch) are added where they are made.
+    """
 
     devices: int
-    rounds: int
-    size: int
+    sizes: tuple[int, ...]
+    parts: tuple[tuple[tuple[int, ...], ...], ...]
+    lanes: tuple[tuple[int, ...], ...]
+
+    @property
+    def lane_count(self) -> int:
+        """Number of different lanes."""
+        return 1 + max(lane for lanes in self.lanes for lane in lanes)
 
 
 def use_cores() -> None:
@@ -63,17 +85,46 @@ def cores() -> int:
     return count if quota == "max" else max(1, min(count, round(int(quota) / int(period))))
 
 
-def sharded(episodes: int, micro_batch: int) -> Sharding:
-    """Shard a batch, at most `micro_batch` episodes at once on a device."""
-    devices = jax.device_count()
-    # On one machine the size of a micro-batch does not depend on the number of cores: sums are the same on any.
-    if jax.default_backend() == "cpu" and jax.process_count() == 1:
-        parts = math.ceil(episodes / micro_batch)
-        devices = min(devices, parts)
-        return Sharding(devices, math.ceil(parts / devices), math.ceil(episodes / parts))
-    share = math.ceil(episodes / devices)
-    rounds = math.ceil(share / micro_batch)
-    return Sharding(devices, rounds, math.ceil(share / rounds))
+def schedule(shares: Sequence[Share]) -> Schedule:
+    """Divide a batch into micro-batches, and these among the devices, so that all have nearly the same work.
+
+    On one machine sizes and lanes do not depend on the number of cores: sums are the same on any.
+    """
+    devices, alone = jax.device_count(), jax.default_backend() == "cpu" and jax.process_count() == 1
+    counts = [math.ceil(share.episodes / share.micro_batch) for share in shares]
+    if not alone:  # the same work on each device
+        counts = [devices * math.ceil(count / devices) for count in counts]
+    work = {
+        (i, part): math.ceil(share.episodes / count) * share.cost
+        for i, (share, count) in enumerate(zip(shares, counts, strict=True))
+        for part in range(count)
+    }
+    lanes = _balanced(work, min(len(work), MAX_LANES if alone else max(MAX_LANES, devices)))
+    load = dict.fromkeys(range(1 + max(lanes.values())), 0.0)
+    for part, lane in lanes.items():
+        load[lane] += work[part]
+    devices = min(devices, len(load))
+    device_of = _balanced(load, devices)
+    return Schedule(
+        devices=devices,
+        sizes=tuple(math.ceil(share.episodes / count) for share, count in zip(shares, counts, strict=True)),
+        parts=tuple(
+            tuple(
+                tuple(part for part in range(count) if device_of[lanes[i, part]] == device) for device in range(devices)
+            )
+            for i, count in enumerate(counts)
+        ),
+        lanes=tuple(tuple(lanes[i, part] for part in range(count)) for i, count in enumerate(counts)),
+    )
+
+
+def _balanced(work: dict[H, float], bins: int) -> dict[H, int]:
+    """Bin of each item, the largest first into the emptiest (Graham 1969)."""
+    full, bin_of = [0.0] * bins, {}
+    for item in sorted(work, key=lambda item: -work[item]):
+        bin_of[item] = full.index(min(full))
+        full[bin_of[item]] += work[item]
+    return bin_of
 
 
 def join(coordinator: str, processes: int | None, process_id: int | None) -> None:
@@ -109,14 +160,20 @@ def on_all_devices(program: Callable[..., T], devices: int) -> Callable[..., T]:
     def run(*arguments: Any) -> T:
         try:
             results = program(*_replicated(arguments, mesh(devices)))
-            local = jax.tree.map(lambda x: x.addressable_data(0) if eqx.is_array(x) else x, results)
-            return jax.block_until_ready(local)
+            return jax.block_until_ready(jax.tree.map(_local, results))
         except jax.errors.JaxRuntimeError as error:
             if jax.process_count() == 1:
                 raise
             raise ProcessLost(f"another process of this training was lost: {str(error).splitlines()[0]}") from error
 
     return run
+
+
+def _local(x: Any) -> Any:
+    if not eqx.is_array(x):
+        return x
+    # The compiler may leave what the next call shards in its shards.
+    return x.addressable_data(0) if x.is_fully_replicated else jnp.asarray(np.asarray(x))
 
 
 def _replicated(tree: Any, mesh: Mesh) -> Any:

@@ -4,68 +4,82 @@ A micro-batch frees the memory of its backward pass before the next begins: memo
 a CPU it stays in the cache.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.sharding import PartitionSpec
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import PyTree
 
-from foveate.learning.devices import AXIS, mesh, sharded
-from foveate.types import Scalar
+from foveate.learning.devices import AXIS, Schedule, Share, mesh, schedule
+from foveate.types import Count, Scalar
 
 Loss = Callable[[Any, Any], Scalar]
 """Loss of one episode: (parameters, all that differs between episodes) -> loss."""
 
 
-def mean_and_gradient(loss: Loss, parameters: PyTree, episodes: PyTree, micro_batch: int) -> tuple[Scalar, PyTree]:
-    """Compute the mean of `loss` over the leading axis of `episodes`, and its gradient in `parameters`.
+class Group(NamedTuple):
+    """Episodes of one shape: their loss, and all that differs between them, stacked; they make up `share`."""
+
+    loss: Loss
+    episodes: PyTree
+    share: Share
+
+
+def mean_and_gradient(groups: Sequence[Group], parameters: PyTree) -> tuple[Scalar, PyTree]:
+    """Compute the mean loss of the episodes of all groups, and its gradient in `parameters`.
 
     Each device works on at most `micro_batch` episodes at once; this changes rounding only. On one machine numbers do
-    not depend on the number of cores, which split the batch alike and add in one order, unless XLA splits single
-    products by it, as it does from some 1,000 rows on.
+    not depend on the number of cores, which add in one order, unless XLA splits single products by it, as it does from
+    some 1,000 rows on.
     """
-    count = len(jax.tree.leaves(episodes)[0])
-    devices, rounds, size = sharded(count, micro_batch)
-    row = np.arange(rounds * devices * size).reshape(rounds, devices, size)
-    # Copies of the last episode, of weight zero, fill the last micro-batches.
-    batches = jax.tree.map(lambda x: x[np.minimum(row, count - 1)], episodes)
-    weight = jnp.asarray(row < count, float) / count
-    if devices == 1:
-        return _sum_rounds(loss, parameters, batches, weight, _with_device_axis)
+    plan = schedule([group.share for group in groups])
+    episodes = [group.episodes for group in groups]
+    if plan.devices == 1:
+        return _total(_lanes(groups, plan, jnp.zeros((), int), parameters, episodes))
 
-    def on_device(parameters, batches, weight):
-        if jax.process_count() == 1:
-            return _sum_rounds(loss, parameters, batches, weight, lambda part: jax.lax.all_gather(part, AXIS))
-        # Between machines every exchange costs a delay: one per batch, not one per round.
-        return jax.lax.psum(_sum_rounds(loss, parameters, batches, weight, _with_device_axis), AXIS)
+    def on_device(parameters, episodes):
+        lanes = _lanes(groups, plan, jax.lax.axis_index(AXIS), parameters, episodes)
+        # A single exchange, since between machines each costs a delay. Other devices have zeros in a lane.
+        return _total(jax.lax.psum(lanes, AXIS))
 
-    by_device = PartitionSpec(None, AXIS)
     return jax.shard_map(
         on_device,
-        mesh=mesh(devices),
-        in_specs=(PartitionSpec(), by_device, by_device),
+        mesh=mesh(plan.devices),
+        in_specs=(PartitionSpec(), PartitionSpec()),
         out_specs=PartitionSpec(),
-        check_vma=False,  # all devices gather or sum the same
-    )(parameters, batches, weight)
+        check_vma=False,  # all devices sum the same
+    )(parameters, episodes)
 
 
-def _with_device_axis(part: PyTree) -> PyTree:
-    return jax.tree.map(lambda x: x[None], part)
+def _lanes(groups: Sequence[Group], plan: Schedule, device: Count, parameters: PyTree, episodes: PyTree) -> PyTree:
+    """Sums of this device's micro-batches, (loss, gradient) by lane."""
+    total = sum(group.share.episodes for group in groups)
+    lanes = jax.tree.map(lambda x: jnp.zeros((plan.lane_count, *x.shape), x.dtype), (jnp.zeros(()), parameters))
+    for i, (loss, _, share) in enumerate(groups):
+        most = max(map(len, plan.parts[i]))
+        numbers = jnp.asarray([own + (-1,) * (most - len(own)) for own in plan.parts[i]])[device]
+
+        def add(lanes, number, i=i, loss=loss, last=share.episodes - 1):
+            rows = number * plan.sizes[i] + jnp.arange(plan.sizes[i])
+            # Copies of the last episode, of weight zero, fill the last micro-batch.
+            weight = (rows <= last).astype(float) / total
+            batch = jax.tree.map(lambda x: x[jnp.minimum(rows, last)], episodes[i])
+            sums = jax.value_and_grad(lambda p: jnp.sum(weight * jax.vmap(loss, (None, 0))(p, batch)))(parameters)
+            lane = jnp.asarray(plan.lanes[i])[number]
+            return jax.tree.map(lambda lanes, new: lanes.at[lane].add(new), lanes, sums)
+
+        def add_own(lanes, number, add=add):
+            return jax.lax.cond(number >= 0, add, lambda lanes, _: lanes, lanes, number), None
+
+        # Loops of unknown length are slow on a CPU. The barrier keeps XLA from compiling a micro-batch differently, and
+        # so from rounding differently, where the condition is known, as on one device.
+        lanes, _ = jax.lax.scan(add_own, lanes, jax.lax.optimization_barrier(numbers))
+    return lanes
 
 
-def _sum_rounds(
-    loss: Loss, parameters: PyTree, batches: PyTree, weight: Float[Array, "rounds 1 size"], gather: Callable
-) -> tuple[Scalar, PyTree]:
-    """Weighted sum of losses and its gradient; `gather` collects the parts of all devices in a round."""
-
-    def add_round(total, batch):
-        episodes, weight = jax.tree.map(lambda x: x[0], batch)
-        part = jax.value_and_grad(lambda p: jnp.sum(weight * jax.vmap(loss, (None, 0))(p, episodes)))(parameters)
-        # One by one: floating-point sums depend on the order, and this one is the same for any number of devices.
-        return jax.lax.scan(lambda total, x: (jax.tree.map(jnp.add, total, x), None), total, gather(part))[0], None
-
-    zero = jnp.zeros((), weight.dtype), jax.tree.map(jnp.zeros_like, parameters)
-    return jax.lax.scan(add_round, zero, (batches, weight))[0]
+def _total(lanes: PyTree) -> PyTree:
+    """Sum of the lanes, one by one: floating-point sums depend on the order, and this one is always the same."""
+    zero = jax.tree.map(lambda x: jnp.zeros_like(x[0]), lanes)
+    return jax.lax.scan(lambda total, x: (jax.tree.map(jnp.add, total, x), None), zero, lanes)[0]

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
-from foveate.simulation.records import Episode, Policy, per_target
+from foveate.names import Objective
+from foveate.simulation.records import Episode, Policy, Trace, per_target
 from foveate.types import Count, Key, Scalar
 
 
@@ -22,6 +23,8 @@ class Learner(eqx.Module):
     epoch: Count
     critic: Any = None
     """Value network; None unless the learner is actor-critic."""
+    ongoing: Any = None
+    """Episodes in progress; None unless long ones are played by windows."""
 
 
 class EpochReport(eqx.Module):
@@ -69,3 +72,9 @@ def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool)
     if terminal:
         return score[episode.horizon - 1]
     return jnp.mean(score, where=jnp.arange(len(score)) < episode.horizon)
+
+
+def objective_score(trace: Trace, episode: Episode, objective: Objective) -> Scalar:
+    """Score of an episode by a training's objective: a mean log det [nat per target], or the share of time in view."""
+    values = trace.visible.astype(trace.log_det.dtype) if objective == "seen" else trace.log_det
+    return episode_score(values, episode, objective == "terminal")

@@ -1,7 +1,10 @@
 """The paper's policy gradient: ascent on log det through the whole simulated episode (proposition 1).
 
-The gradient is in reverse mode through one scan, so its cost does not grow with the number of parameters.
+The gradient is in reverse mode through one scan, so its cost does not grow with the number of parameters. Batches are
+stratified by the number of targets, which does not change the expected gradient.
 """
+
+import functools
 
 import equinox as eqx
 import jax
@@ -9,8 +12,10 @@ import jax.numpy as jnp
 import optax
 
 from foveate.experiment.learners import TrainingSettings
-from foveate.learning.gradient import mean_and_gradient
+from foveate.learning.devices import Share
+from foveate.learning.gradient import Group, mean_and_gradient
 from foveate.learning.learner import EpochReport, Learner, episode_score, step_scores
+from foveate.learning.strata import strata
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
@@ -18,7 +23,7 @@ from foveate.simulation.records import Episode, Policy
 from foveate.simulation.rollout import log_dets, weights
 from foveate.types import Key, Scalar
 
-CPU_BATCH_TARGETS = 256
+CPU_BATCH_TARGETS = 384
 """Default number of targets, with padding, in a micro-batch on a CPU: they fit into a core's own cache."""
 
 ACCELERATOR_BATCH_TARGETS = 131072
@@ -45,6 +50,14 @@ def micro_batch_size(settings: TrainingSettings, scenes: SceneSettings) -> int:
     return settings.micro_batch or max(1, targets // scenes.targets_max)
 
 
+def shares(settings: TrainingSettings, scenes: SceneSettings) -> list[Share]:
+    """The parts of a batch that have one shape."""
+    return [
+        Share(len(stratum.targets), micro_batch_size(settings, stratum.scenes), stratum.cost)
+        for stratum in strata(scenes, settings.episodes)
+    ]
+
+
 def objective(problem: Problem, policy: Policy, episode: Episode, settings: TrainingSettings, key: Key) -> Scalar:
     """Differentiable log det [nat per target], or share of time in view, of an episode under the soft views."""
     values_of, is_terminal = weights if settings.objective == "seen" else log_dets, settings.objective == "terminal"
@@ -65,13 +78,19 @@ def epoch(
     """One step of ascent on a new batch; the random numbers of epoch i depend on (key, i) alone."""
     parameters, rest = eqx.partition(learner.policy, eqx.is_inexact_array)
     episode_key, policy_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
-    keys = tuple(jax.random.split(k, settings.episodes) for k in (episode_key, policy_key))
+    keys = [jax.random.split(k, settings.episodes) for k in (episode_key, policy_key)]
 
-    def loss(parameters, keys):
-        episode = training_episode(problem, scenes, keys[0], settings.noise)
-        return -objective(problem, eqx.combine(parameters, rest), episode, settings, keys[1])
+    def loss(scenes: SceneSettings, parameters, episode):
+        episode_key, policy_key, targets = episode
+        drawn = training_episode(problem, scenes, episode_key, settings.noise, targets=targets)
+        return -objective(problem, eqx.combine(parameters, rest), drawn, settings, policy_key)
 
-    value, gradient = mean_and_gradient(loss, parameters, keys, micro_batch_size(settings, scenes))
+    groups, end = [], 0
+    for stratum, share in zip(strata(scenes, settings.episodes), shares(settings, scenes), strict=True):
+        begin, end = end, end + share.episodes
+        episodes = (*(k[begin:end] for k in keys), jnp.asarray(stratum.targets))
+        groups.append(Group(functools.partial(loss, stratum.scenes), episodes, share))
+    value, gradient = mean_and_gradient(groups, parameters)
     norm = optax.tree.norm(gradient)
     updates, state = optimizer(settings).update(gradient, learner.optimizer, parameters)
     policy = eqx.apply_updates(learner.policy, updates)

@@ -2,17 +2,25 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from foveate.errors import InputError
-from foveate.experiment.checkpoint import VERSION, load_tree, save_tree, write_config
+from foveate.experiment.checkpoint import (
+    accepted_digests,
+    extend_config,
+    load_tree,
+    save_tree,
+    stored_facts,
+    write_config,
+)
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import PPOSettings
-from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, Validation, claim
-from foveate.io.files import append_line, read_text, write_atomic
-from foveate.io.npz import load_arrays
-from foveate.io.toml import load_toml, read_toml
+from foveate.experiment.run_folder import BEST, CONFIG, LAST, METRICS, VERDICT, Validation, claim
+from foveate.io.files import append_line, read_text, sole_writer, write_atomic
+from foveate.io.strict_json import parse_json
+from foveate.io.toml import read_toml
 from foveate.learning.selection import Progress
 from foveate.learning.tensorboard import Events
 from foveate.simulation.records import Policy
@@ -47,12 +55,13 @@ class RunFiles:
 
     def append(self, validation: Validation, events: Events) -> None:
         """Append a validation to the metrics and the TensorBoard events."""
-        facts = asdict(validation)
-        # JSON has no NaN and no infinity.
-        row = {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in facts.items()}
+        # JSON has no NaN and no infinity, and TensorBoard draws none.
+        row: dict[str, Any] = {
+            name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in asdict(validation).items()
+        }
         append_line(self.out / METRICS, json.dumps(row))
         names = ("objective", "gradient_norm", "held_out", "at_limit", "epochs_per_s")
-        events.add({name: facts[name] for name in names if facts[name] is not None}, validation.epoch)
+        events.add({name: row[name] for name in names if row[name] is not None}, validation.epoch)
 
     def save_last(self, progress: Progress, epoch: int, elapsed_s: float) -> None:
         """Save the state that a resumed training continues from."""
@@ -60,15 +69,27 @@ class RunFiles:
         save_tree(self.out / LAST, progress, self.experiment, "training", facts, self.config_digest)
 
 
-def stored_run(run: Path) -> tuple[Experiment, int]:
-    """Read experiment and seed of a run folder, to resume its training."""
+def stored_run(run: Path, epochs: int | None = None) -> tuple[Experiment, int]:
+    """Read experiment and seed of a run folder, to resume its training, up to `epochs` in all if given.
+
+    Learning rates and action std then fall over the longer training. Raises InputError for a folder without a training
+    that can be resumed, and unless it has done fewer than `epochs`.
+    """
     if not (run / CONFIG).exists():
-        raise InputError(f"{run}: holds no training to resume: begin one, with --out {run}")
-    experiment = load_toml(Experiment, run / CONFIG)
+        raise InputError(f"{run}: holds no training to resume: begin one there")
+    experiment, digest = read_toml(Experiment, run / CONFIG)
     if isinstance(experiment.training, PPOSettings):
         raise InputError(f"{run}: was trained by PPO, which cannot be resumed: train again")
-    header, _ = load_arrays(run / LAST, "training", VERSION)
-    return experiment, int(header["facts"]["seed"])
+    facts = stored_facts(run / LAST, "training")
+    if epochs is not None:
+        done = _fact(run / LAST, facts, "epoch", int)
+        if epochs <= done:
+            raise InputError(f"epochs {epochs}: expected more than the {done} that {run} has done")
+        experiment = replace(experiment, training=replace(experiment.training, epochs=epochs))
+        with sole_writer(run):
+            (run / VERDICT).unlink(missing_ok=True)  # of the policy before
+            extend_config(run, experiment, digest)
+    return experiment, _fact(run / LAST, facts, "seed", int)
 
 
 def start_run(out: Path, experiment: Experiment, seed: int, begun: Progress) -> tuple[RunFiles, Progress, float]:
@@ -89,21 +110,30 @@ def resume_run(out: Path, experiment: Experiment, seed: int, begun: Progress) ->
     stored, digest = read_toml(Experiment, out / CONFIG)
     if stored != experiment:
         raise InputError(f"{out}: is the run of another experiment: expected that of its {CONFIG}")
-    progress, facts = load_tree(out / LAST, begun, "training", digest)
-    if facts["seed"] != seed:
-        raise InputError(f"{out}: was trained with --seed {facts['seed']}: expected the same, got {seed}")
+    progress, facts = load_tree(out / LAST, begun, "training", accepted_digests(out, digest))
+    if (trained := _fact(out / LAST, facts, "seed", int)) != seed:
+        raise InputError(f"{out}: was trained with seed {trained}: expected the same, got {seed}")
     lines = read_text(out / METRICS, "metrics of a run").splitlines()
     epochs = [_epoch_of(out, lines, i) for i in range(len(lines))]
-    kept = [line for line, epoch in zip(lines, epochs, strict=True) if epoch <= int(progress.learner.epoch)]
+    # Killed between the line of the untrained policy and its state, a training validates that policy again.
+    done = int(progress.learner.epoch) if progress.is_validated else -1
+    kept = [line for line, epoch in zip(lines, epochs, strict=True) if epoch <= done]
     write_atomic(out / METRICS, "".join(f"{line}\n" for line in kept).encode())
     files = RunFiles(out=out, experiment=experiment, seed=seed, config_digest=digest)
-    return files, progress, float(facts["elapsed_s"])
+    return files, progress, float(_fact(out / LAST, facts, "elapsed_s", float, int))
+
+
+def _fact(path: Path, facts: dict[str, Any], name: str, *kinds: type) -> Any:
+    """A fact of a saved training. Raises InputError where there is none, or one of another type."""
+    if type(facts.get(name)) not in kinds:
+        raise InputError(f"{path}: facts: {name} = {facts.get(name)!r:.60}: expected a number, as foveate wrote it")
+    return facts[name]
 
 
 def _epoch_of(out: Path, lines: list[str], i: int) -> int | float:
     """The epoch of a line of metrics; infinite for a last line that was cut while it was written."""
     try:
-        return int(json.loads(lines[i])["epoch"])
+        return int(parse_json(lines[i])["epoch"])
     except (ValueError, KeyError, TypeError) as error:
         if i < len(lines) - 1:
             raise InputError(f"{out / METRICS}: line {i + 1}: is damaged: delete it to resume without it") from error

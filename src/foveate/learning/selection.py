@@ -12,8 +12,8 @@ from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
 from foveate.learning.learner import Learner
 
 SATURATED_SHARE = 0.9
-"""Share of commands with every axis at a limit above which a policy is saturated: tanh has no gradient there, so
-training cannot recover by itself."""
+"""Share of commands with every axis at a limit above which a policy gradient is saturated: tanh has no gradient there,
+so training cannot recover by itself."""
 
 COLLAPSED_SCORE = 1.0
 """A held-out score this far [nat per target] below the best counts towards a collapse."""
@@ -47,6 +47,11 @@ class Progress(eqx.Module):
         zero = jnp.zeros((), int)
         return cls(learner, learner, jnp.array(-jnp.inf), best_epoch=zero, below=zero, rollbacks=zero)
 
+    @property
+    def is_validated(self) -> bool:
+        """Whether a policy has been validated and kept; before the first iteration that may be the untrained one."""
+        return bool(jnp.isfinite(self.best_score))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
@@ -65,16 +70,36 @@ def decide(
     at_limit: float,
     finite: bool,
     training: TrainingSettings | ActorCriticSettings,
+    gradient_norm: float = math.nan,
 ) -> Decision:
     """Decide after the validation of `learner`; `progress` is the state at the previous one.
 
     `score` [nat per target, or share of time in view] and `at_limit`, the share of commands with every axis at a limit,
-    are those of held-out scenes. `finite` says that the score and all gradients are.
+    are those of held-out scenes. `finite` says that the score and all gradients are. Where `gradient_norm`, the largest
+    since the previous validation, is 0, training ends: it would go on for ever without learning anything.
     """
+    decision = _decide(progress, learner, score, at_limit, finite, training)
+    if gradient_norm != 0.0 or decision.stop_reason is not None:
+        return decision
+    reason = f"iteration {int(learner.epoch)}: all gradients are 0, {at_limit:.0%} of commands at a limit"
+    hint = "no target comes near the view: is tau_s too long, or the view too small? The best is kept"
+    return replace(decision, stop_reason=f"{reason}; {hint}")
+
+
+def _decide(
+    progress: Progress,
+    learner: Learner,
+    score: float,
+    at_limit: float,
+    finite: bool,
+    training: TrainingSettings | ActorCriticSettings,
+) -> Decision:
     if not finite:
         reason = f"iteration {int(learner.epoch)}: a gradient or score was not finite; the best is kept"
         return Decision(progress=replace(progress, learner=progress.best), event="not finite", stop_reason=reason)
-    best, saturated = float(progress.best_score), at_limit > SATURATED_SHARE
+    best = float(progress.best_score)
+    # The actor-critic samples beyond the limits, and a camera that only turns is at them for good reason.
+    saturated = at_limit > SATURATED_SHARE and isinstance(training, TrainingSettings)
     # A saturated policy never replaces a best one, however well it scores: training cannot continue from it. But the
     # first finite validation is kept in any case, so that every run has a policy.
     if score > best and not (saturated and math.isfinite(best)):

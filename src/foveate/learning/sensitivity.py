@@ -32,6 +32,7 @@ from foveate.geometry import lie
 from foveate.geometry.linalg import inverse_spd, log_det_spd
 from foveate.models.belief import predict_information
 from foveate.models.problem import Problem, first_information
+from foveate.models.robot import Robot
 from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness, detection_weight
 from foveate.simulation.records import Episode, Observation, Policy
 from foveate.types import Point, Pose, Scalar, Twist
@@ -53,12 +54,15 @@ def policy_gradient(
     """sum_j log det Y_K^(j) of a noise-free episode in space [nat], and its gradient by the policy's parameters.
 
     The gradient has the structure of the policy's floating-point arrays. Memory grows as n_p n n_y^2. Raises InputError
-    for a planar problem, an episode with truth or arrivals, and a policy with memory.
+    for a planar problem, one whose agent keeps borders or off targets, an episode with truth or arrivals, and a policy
+    with memory.
     """
     if problem.agent.space.dimension != 3:
         raise InputError(
             "Proposition 1 is stated for SE(3): embed a planar problem (foveate.simulation.planar_in_space)"
         )
+    if problem.bounds_agent or problem.keep_off_m is not None:
+        raise InputError("Proposition 1 assumes free motion: expected neither a region that stops it nor keep_off_m")
     if episode.truth is not None or episode.arrivals is not None:
         raise InputError("Proposition 1 assumes a noise-free episode: expected neither truth nor arrivals")
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
@@ -107,7 +111,8 @@ def _step(
 
     # u_k = pi_theta(s_k), and how it moves with theta, T_k and P_{k+1}.
     def control(theta: Array, T: Pose, P: Array) -> Twist:
-        return decide(theta, Observation(k, episode.horizon - k, T, mean, P, episode.present, known_input))
+        fields = (k, episode.horizon - k, T, mean, P, episode.present, known_input, Robot.of(problem))
+        return decide(theta, Observation(*fields))
 
     u = control(theta, before.T, P)
     by_theta, by_T, by_P = jax.jacrev(control, argnums=(0, 1, 2))(theta, before.T, P)
@@ -153,7 +158,7 @@ def _gains(
     """H^T V^-1 H of every target and its derivative by every parameter; 0 where V is constant in the world."""
 
     def gain(R: Array, q: Point) -> Array:
-        return sensor.information(sensor.covariance(R, q))
+        return sensor.gain(R, q)
 
     def along(dR: Array, dq: Point, q: Point) -> Array:
         return jax.jvp(gain, (R, q), (dR, dq))[1]

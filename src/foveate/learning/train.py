@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -16,6 +16,7 @@ from foveate.io.progress import Bar
 from foveate.learning import loop
 from foveate.learning.sb3 import ppo
 from foveate.learning.validation import OnValidation, no_report
+from foveate.models.precision import warn_of_rounding
 
 
 def train(
@@ -34,6 +35,8 @@ def train(
     if not resume:
         require_free(out, experiment)
         out.mkdir(parents=True, exist_ok=True)
+    scenario = experiment.scenario
+    warn_of_rounding(scenario.problem(), scenario.scenes.horizon(scenario.scenes.targets_max))
     with sole_writer(out):
         try:
             if by_ppo:
@@ -47,8 +50,10 @@ def train(
 
 
 @contextmanager
-def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[OnValidation]:
-    """A progress bar around a training; yields the `report` for `train`.
+def watched(
+    experiment: Experiment, name: str, callback: Callable[[Validation], object] | None = None, quiet: bool = False
+) -> Iterator[OnValidation]:
+    """A progress bar around a training; yields the `report` for `train`, which calls `callback` first.
 
     The first ctrl-C ends the training at its next validation, when everything is on the disk, the second one at once.
     PPO, which cannot be resumed, ends at the first.
@@ -59,6 +64,8 @@ def watched(experiment: Experiment, name: str, quiet: bool = False) -> Iterator[
     with Bar(f"training {name}", total, unit, quiet) as bar, _deferred_interrupt(bar, not by_ppo) as interrupted:
 
         def report(validation: Validation, _: int) -> None:
+            if callback is not None:
+                callback(validation)
             done, rate = validation.epoch, validation.epochs_per_s
             if by_ppo:
                 done, rate = validation.env_steps, rate * validation.env_steps / validation.epoch
@@ -81,7 +88,7 @@ def _deferred_interrupt(bar: Bar, defers: bool) -> Iterator[threading.Event]:
         if interrupted.is_set():
             raise KeyboardInterrupt
         interrupted.set()
-        bar.say("stopping when the current validation is saved; press ctrl-C again to stop at once")
+        bar.say("stopping when the current validation is saved; press Ctrl+C again to stop at once")
 
     # A caller's own handler stays, and only the main thread may set one.
     ours = defers and before is signal.default_int_handler and threading.current_thread() is threading.main_thread()

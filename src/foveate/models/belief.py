@@ -1,5 +1,7 @@
 """The Kalman filter of one target in information form (paper, section 2), batched over targets by `vmap`."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -71,6 +73,6 @@ def correct_mean(
     return prediction.mean + gain @ (measurement - H @ prediction.mean)
 
 
-def entropy(log_det: Float[Array, "*b"], state_size: int) -> Float[Array, "*b"]:
+def entropy(log_det: float, state_size: int) -> float:
     """Differential entropy [nat] of a Gaussian, from its information's log det: n_y/2 log(2 pi e) - log det / 2."""
-    return 0.5 * (state_size * jnp.log(2 * jnp.pi * jnp.e) - log_det)
+    return 0.5 * (state_size * math.log(2 * math.pi * math.e) - log_det)

@@ -3,6 +3,10 @@
 The published Kalman filter learns only from measurements. But a target that is not measured is outside of the view, and
 a belief that reaches into the view claims too much. The rest of the Gaussian is no Gaussian; the one with the same mean
 and covariance takes its place (moment matching, as in assumed-density filtering).
+
+That puts mass back into the view. The next look must not cut it out again: the same information would count as often
+as there are looks, and the belief would shrink without bound. So a look cuts only ground that the previous look in vain
+did not show; what a target may have entered meanwhile is left to the process noise.
 """
 
 from collections.abc import Callable
@@ -56,6 +60,9 @@ def condition_on_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_i
     covariance = inverse_spd(belief.information)
     cross = multiply(covariance, Z.T)
     position_covariance = symmetrise(multiply(Z, cross))
+    # An axis along which the position is known for certain, as the height of a target on the floor: the points do not
+    # spread along it, and a variance of 1 in place of 0 only makes the inverse below exist.
+    certain = jnp.diagonal(position_covariance) <= 0.0
     middle = Z @ belief.mean
     standard, weights = (jnp.asarray(numbers, float) for numbers in standard_points(len(Z)))
     points: Float[Array, "points d"] = middle + standard @ cholesky_spd(position_covariance).T
@@ -64,7 +71,7 @@ def condition_on_missed_detection(belief: Belief, Z: Float[Array, "d n_y"], is_i
     # No point inside: nothing was learned. Nearly all inside: the few points left would be a poor sample.
     is_informative = jnp.any(inside) & (jnp.sum(weights) >= MIN_OUTSIDE)
     moved, left = _moments(points, weights)
-    gain = multiply(cross, inverse_spd(position_covariance))
+    gain = multiply(cross, inverse_spd(position_covariance + jnp.diag(certain.astype(cross.dtype))))
     shrunk = covariance + multiply(multiply(gain, left - position_covariance), gain.T)
     safe = symmetrise(jnp.where(is_informative, shrunk, covariance))
     return Belief(

@@ -1,17 +1,21 @@
 """The problem: agent, sensor and motion of the targets, and its schedule over the steps."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from foveate.geometry.space import Space
 from foveate.models.agent import Agent
+from foveate.models.obstacles import Obstacles
+from foveate.models.region import Region, share_clear
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
-from foveate.types import Count, Information, Scalar
+from foveate.types import Action, Count, Flag, Information, Point, Pose, Scalar, Twist
 
 
 class Schedule(eqx.Module):
@@ -28,7 +32,8 @@ class Schedule(eqx.Module):
 class Problem(eqx.Module):
     """Agent, sensor, motion of the targets, control period tau [s] and first information matrix.
 
-    A `schedule` overrides them from step to step.
+    A `schedule` overrides them from step to step. The `region` has the borders of the world, and `keep_off_m` is the
+    distance that the agent keeps from targets [m], if any; `obstacles` has the maps, one of them chosen.
     """
 
     agent: Agent
@@ -37,6 +42,99 @@ class Problem(eqx.Module):
     tau: Scalar
     prior_information: Information
     schedule: Schedule | None = None
+    region: Region | None = None
+    keep_off_m: Scalar | None = None
+    obstacles: Obstacles | None = None
+
+    def move(
+        self, pose: Pose, action: Action, positions_world: Float[Array, "n d"] | None, present: Bool[Array, " n"]
+    ) -> Pose:
+        """The pose after one action, which borders and obstacles may end and, with their positions, targets, too."""
+        after = self.agent.move(pose, action, self.tau)
+        if self.bounds_agent:
+            after = self.within_region(pose, after)
+        if positions_world is not None:
+            after = self.clear_of(pose, after, positions_world, present)
+        if self.obstacles is not None:
+            after, _ = self.among_obstacles(pose, action, after)
+        return after
+
+    def of_map(self, number: Count | None) -> "Problem":
+        """The problem among the obstacles of one map; itself where there are none."""
+        if self.obstacles is None or number is None:
+            return self
+        return replace(self, obstacles=self.obstacles.of_map(number))
+
+    def sees(
+        self, pose: Pose, positions_world: Float[Array, "n d"], asked: Bool[Array, " n"] | None = None
+    ) -> Bool[Array, " n"]:
+        """Positions [m] in view that no obstacle hides, among those asked for."""
+        space = self.agent.space
+        in_view = self.sensor.view.contains(space.to_body(pose, positions_world))
+        in_view = in_view if asked is None else in_view & asked
+        if self.obstacles is None:
+            return in_view
+        return self.obstacles.sees(space.position(pose), positions_world, in_view)
+
+    @property
+    def bounds_agent(self) -> bool:
+        """True if the agent keeps borders."""
+        return self.region is not None and self.region.agent != "free"
+
+    @property
+    def bounds_targets(self) -> bool:
+        """True if the targets keep borders."""
+        return self.region is not None and self.region.targets != "free"
+
+    @property
+    def turns_targets(self) -> bool:
+        """True if the targets keep out of obstacles."""
+        return self.obstacles is not None and self.obstacles.targets == "around"
+
+    def inside(self, positions_world: Float[Array, "*n d"], bounded: bool) -> Float[Array, "*n d"]:
+        """Positions, those beyond a border moved onto it if they are `bounded`."""
+        if self.region is None or not bounded:
+            return positions_world
+        return jnp.clip(positions_world, self.region.low, self.region.high)
+
+    def within_region(self, before: Pose, after: Pose) -> Pose:
+        """The pose after a step that ends at a border, if it crosses one."""
+        assert self.region is not None, "for problems with a region"
+        start, end = self._ends(before, after)
+        return self._stopped(before, after, self.region.share_inside(start, end))
+
+    def clear_of(
+        self, before: Pose, after: Pose, positions_world: Float[Array, "n d"], present: Bool[Array, " n"]
+    ) -> Pose:
+        """The pose after a step that ends `keep_off_m` before the first of the present targets in its way."""
+        assert self.keep_off_m is not None, "for problems with a distance to keep"
+        start, end = self._ends(before, after)
+        return self._stopped(before, after, share_clear(start, end, positions_world, present, self.keep_off_m))
+
+    def among_obstacles(self, before: Pose, action: Action, after: Pose) -> tuple[Pose, Flag]:
+        """The pose after an action that led from `before` to `after`, ended at the first contact, and true for one.
+
+        The way is the action's arc; or the straight line to `after`, where borders or targets may have ended it.
+        """
+        assert self.obstacles is not None, "for problems with obstacles"
+        space, ends = self.agent.space, self._ends(before, after)
+        if self.bounds_agent or self.keep_off_m is not None:
+            length = jnp.linalg.norm(ends[1] - ends[0])
+            place, touches = self.obstacles.first_contact(_straight, ends, length)
+        else:
+            arc = before, self.tau * self.agent.twist(action)
+            length = jnp.sqrt(jnp.maximum(jnp.sum(arc[1][: space.dimension] ** 2), 1e-18))
+            way = partial(along_arc, space)
+            place, touches = self.obstacles.first_contact(way, arc, length)
+        return space.placed(after, jnp.where(touches, place, ends[1])), touches
+
+    def _ends(self, before: Pose, after: Pose) -> tuple[Point, Point]:
+        return self.agent.space.position(before), self.agent.space.position(after)
+
+    def _stopped(self, before: Pose, after: Pose, share: Scalar) -> Pose:
+        start, end = self._ends(before, after)
+        # Not start + share (end - start) where nothing stops the agent, which would round.
+        return self.agent.space.placed(after, jnp.where(share < 1.0, start + share * (end - start), end))
 
     def at(self, step: Count) -> "Problem":
         """The problem of step k alone, with tau_k, A, B, W_k and V_k, and without a schedule."""
@@ -58,6 +156,15 @@ class Problem(eqx.Module):
         """tau_0 .. tau_{K-1} [s]."""
         tau = np.asarray(self.period.tau, float)
         return tau[np.arange(steps) % len(tau)]
+
+
+def _straight(ends: tuple[Point, Point], share: Scalar) -> Point:
+    return ends[0] + share * (ends[1] - ends[0])
+
+
+def along_arc(space: Space, arc: tuple[Pose, Twist], share: Scalar) -> Point:
+    """Position at a share of the arc of a pose and its displacement in the body frame."""
+    return space.position(space.move(arc[0], share * arc[1]))
 
 
 def first_information(problem: Problem, targets: int) -> Float[Array, "n n_y n_y"]:

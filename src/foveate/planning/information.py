@@ -23,7 +23,7 @@ class Future(eqx.Module):
     """Known or predicted future that a plan is made for.
 
     `state` holds the targets' states after each step, `information` the P_1 predicted for the first. Only the first
-    `horizon` steps count.
+    `horizon` steps count. `map_number` is that of the map among obstacles.
     """
 
     pose: Pose
@@ -31,6 +31,7 @@ class Future(eqx.Module):
     information: Float[Array, "n n_y n_y"]
     present: Bool[Array, " n"]
     horizon: Count
+    map_number: Count | None = None
 
 
 def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Scalar:
@@ -42,26 +43,55 @@ def final_log_det(
     problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
 ) -> Float[Array, " n"]:
     """log det Y of every target at the horizon [nat]. Raises InputError for a problem with a schedule."""
+    added, counts = _added(problem, future, action, level)
+    return _log_det_after(future.information, added, counts, problem.motion)
+
+
+def mean_score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Scalar:
+    """Mean log det Y over the targets and the steps [nat], as `score` otherwise; without a gradient of its own."""
+    added, counts = _added(problem, future, action, level)
+
+    def step(P, added):
+        Y = P + added
+        after = jax.vmap(lambda information: belief.predict_information(information, problem.motion))(Y)
+        return after, per_target(log_det_spd(Y), future.present)
+
+    log_dets = jax.lax.scan(step, future.information, added)[1]
+    return jnp.sum(jnp.where(counts, log_dets, 0.0)) / jnp.sum(counts).astype(log_dets.dtype)
+
+
+def _added(
+    problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
+) -> tuple[Float[Array, "K n n_y n_y"], Bool[Array, " K"]]:
+    """Information M_k that each step adds to each target, and the steps that count."""
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: planners need steps of one kind: leave [schedule] out")
-    agent, sensor = problem.agent, problem.sensor
+    problem = problem.of_map(future.map_number)
+    agent, sensor, obstacles = problem.agent, problem.sensor, problem.obstacles
+    kept_off = None if problem.keep_off_m is None else problem.motion.position(future.state)
 
-    def move(pose, action):
-        pose = agent.move(pose, action, problem.tau)
+    def move(pose, step):
+        action, positions_world = step
+        pose = problem.move(pose, action, positions_world, future.present)
         return pose, pose
 
     def look(pose, state):
         rotation = agent.space.rotation(pose)
-        points_body = agent.space.to_body(pose, problem.motion.position(state))
-        gain = jax.vmap(lambda point: sensor.information(sensor.covariance(rotation, point)))(points_body)
-        distance = sensor.view.signed_distance(points_body)
-        return gain, (distance <= 0).astype(gain.dtype) if level is None else detection_weight(distance, level)
+        positions_world = problem.motion.position(state)
+        points_body = agent.space.to_body(pose, positions_world)
+        gain = jax.vmap(lambda point: sensor.gain(rotation, point))(points_body)
+        distance, eye = sensor.view.signed_distance(points_body), agent.space.position(pose)
+        if level is None:
+            seen = distance <= 0
+            seen = seen if obstacles is None else obstacles.sees(eye, positions_world, seen)
+            return gain, seen.astype(gain.dtype)
+        weight = detection_weight(distance, level)
+        return gain, weight if obstacles is None else weight * obstacles.weight(eye, positions_world, level)
 
-    poses = jax.lax.scan(move, future.pose, action)[1]
+    poses = jax.lax.scan(move, future.pose, (action, kept_off))[1]
     gain, weight = jax.vmap(look)(poses, future.state)
     counts = jnp.arange(len(action)) < future.horizon
-    added = jnp.where(counts[:, None, None, None], weight[..., None, None] * gain, 0.0)
-    return _log_det_after(future.information, added, counts, problem.motion)
+    return jnp.where(counts[:, None, None, None], weight[..., None, None] * gain, 0.0), counts
 
 
 @jax.custom_vjp

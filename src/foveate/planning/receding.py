@@ -53,37 +53,40 @@ class OpenLoop(Policy):
 
 
 class Memory(eqx.Module):
-    """Memory of a planner: the last plan without its first step, the sum of the inputs, the policy's memory."""
+    """Memory of a planner: the last plan without its first step, the sum of the inputs of `steps` steps, the policy's.
+
+    The planner counts the steps itself: on a robot its memory may begin later than the observations.
+    """
 
     raw: Float[Array, "K m"]
     total_input: Float[Array, "n m_y"]
+    steps: Count
     policy: Any
 
 
 class Receding(Policy):
     """Plans again at every step, from its last plan and, with a policy, also from that policy's predicted actions.
 
-    A plan covers the next `window` steps, at most to the end of the episode, which has `horizon` steps.
+    A plan covers the next `window` steps, at most to the end of the episode.
     """
 
     problem: Problem
     settings: PlanSettings = eqx.field(static=True)
     window: int = eqx.field(static=True)
-    horizon: Count
     policy: Policy | None = None
 
     def start(self, observation: Observation) -> Memory:
         """A plan straight ahead, and no inputs yet."""
         memory = None if self.policy is None else self.policy.start(observation)
-        return Memory(straight_ahead(self.problem, self.window), jnp.zeros_like(observation.known_input), memory)
+        raw, total = straight_ahead(self.problem, self.window), jnp.zeros_like(observation.known_input)
+        return Memory(raw, total, jnp.zeros((), int), memory)
 
     def __call__(self, observation: Observation, memory: Memory, key: Key) -> tuple[Action, Memory]:
         """The first action of the best plan for the predicted future."""
         plan_key, policy_key = jax.random.split(key)
         total = memory.total_input + observation.known_input
-        mean_input = total / jnp.asarray(observation.step + 1, total.dtype)
-        left = jnp.maximum(self.horizon - observation.step, 1)
-        future = believed_future(self.problem, observation, mean_input, self.window, left)
+        mean_input = total / jnp.asarray(memory.steps + 1, total.dtype)
+        future = believed_future(self.problem, observation, mean_input, self.window, jnp.maximum(observation.left, 1))
         starts, inner = memory.raw[None], memory.policy
         if self.policy is not None:
             action, inner = self._policy_actions(self.policy, observation, inner, mean_input, policy_key)
@@ -91,7 +94,7 @@ class Receding(Policy):
             starts = jnp.concatenate([raw[None], starts])
         best = plan(self.problem, future, self.settings, plan_key, starts)
         shifted = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
-        return best.action[0], Memory(shifted, total, inner)
+        return best.action[0], Memory(shifted, total, memory.steps + 1, inner)
 
     def _policy_actions(
         self, policy: Policy, observation: Observation, memory: Any, mean_input: Float[Array, "n m_y"], key: Key
@@ -99,13 +102,16 @@ class Receding(Policy):
         """The policy's actions in its predicted future, in a soft view; its memory after the first one."""
         protocol = Protocol(levels=(Softness(*self.settings.last),))
         belief = (observation.mean, observation.information[None], observation.present)
-        predicted = State(observation.step, observation.pose, *belief)
+        problem = self.problem.of_map(observation.map_number)
+        contacts = None if problem.obstacles is None else jnp.zeros((), int)
+        predicted = State(observation.step, observation.pose, *belief, contacts=contacts)
         action, memory = policy(observation, memory, jax.random.fold_in(key, observation.step))
-        after = act(self.problem, protocol, predicted, Instant(observation.known_input, None, None), action).state
+        after = act(problem, protocol, predicted, Instant(observation.known_input, None, None), action).state
         inputs = jnp.broadcast_to(mean_input, (self.window - 1, *mean_input.shape))
-        future = Episode(after.pose, after.mean, after.present, inputs, horizon=observation.step + observation.left)
+        ends = {"horizon": observation.step + observation.left, "map_number": observation.map_number}
+        future = Episode(after.pose, after.mean, after.present, inputs, **ends)
         rest = (future, protocol, key, lambda done: done.action)
-        later = simulate(self.problem, decider(policy), *rest, memory=memory, state=after)
+        later = simulate(problem, decider(policy), *rest, memory=memory, state=after)
         return jnp.concatenate([action[None], later]), memory
 
 
@@ -119,4 +125,5 @@ def believed_future(
 
     states = jax.lax.scan(advance, observation.mean, None, window)[1]
     steps = jnp.minimum(horizon, window)
-    return Future(observation.pose, states, observation.information, observation.present, steps)
+    beliefs = observation.information, observation.present
+    return Future(observation.pose, states, *beliefs, steps, map_number=observation.map_number)

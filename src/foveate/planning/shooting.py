@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from foveate.io.settings import Settings
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
@@ -26,7 +27,7 @@ CHECK_EVERY = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanSettings:
+class PlanSettings(Settings):
     """Settings of a planner: Adam from `starts` sequences, with clipped gradient and cosine decay.
 
     The level (offset, kappa [m]) of the soft view moves linearly from `first` to `last` over the first `annealed`
@@ -43,6 +44,7 @@ class PlanSettings:
     keep: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, least in (("starts", 1), ("iterations", 0), ("annealed", 0)):
             require(getattr(self, name) >= least, name, getattr(self, name), f"expected >= {least}")
         positive(self, "learning_rate", "gradient_bound")

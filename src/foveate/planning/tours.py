@@ -11,7 +11,7 @@ from foveate.geometry.fov import FieldOfView
 from foveate.geometry.fov_spatial import Prism
 from foveate.models.problem import Problem
 from foveate.planning.information import Future
-from foveate.policies.heuristics import twist_towards
+from foveate.policies.steering import steer
 from foveate.types import Key, Scalar
 
 MAX_START_ACTION = 0.9
@@ -48,7 +48,7 @@ def tours(problem: Problem, future: Future, count: int, key: Key) -> Float[Array
 
 
 def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Float[Array, "K m"]:
-    agent, view = problem.agent, problem.sensor.view
+    problem, agent = problem.of_map(future.map_number), problem.agent
     preference_key, dwell_key, noise_key = jax.random.split(key, 3)
     targets = len(future.present)
     # Tours must differ: each has its own order of the targets and its own time at each.
@@ -57,14 +57,15 @@ def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Flo
 
     def step(carry, state):
         pose, looks = carry
-        points_body = agent.space.to_body(pose, problem.motion.position(state))
+        positions_world = problem.motion.position(state)
+        points_body = agent.space.to_body(pose, positions_world)
         distance = preference * jnp.sqrt(jnp.sum(points_body**2, axis=-1))
         rounds = jnp.where(future.present, looks // dwell, len(future.state))
         distance = jnp.where(rounds == jnp.min(rounds), distance, jnp.inf)
-        twist = twist_towards(points_body[jnp.argmin(distance)], standoff_m, problem.tau)
-        action = agent.action(twist[jnp.array(agent.axes)])
-        pose = agent.move(pose, action, problem.tau)
-        seen = view.contains(agent.space.to_body(pose, problem.motion.position(state)))
+        action = steer(agent, problem.tau, points_body[jnp.argmin(distance)], standoff_m)
+        obstacles = None if problem.keep_off_m is None else positions_world
+        pose = problem.move(pose, action, obstacles, future.present)
+        seen = problem.sees(pose, positions_world)
         return (pose, jnp.where(seen, looks + 1, looks)), action
 
     action = jax.lax.scan(step, (future.pose, jnp.zeros(targets, int)), future.state)[1]

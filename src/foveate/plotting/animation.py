@@ -14,12 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from foveate.errors import InputError
+from foveate.io.figures import BLACK, GREY, PALE, clean, drawable, literal, new_figure
 from foveate.io.files import write_atomic
 from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData, axis_range
-from foveate.plotting.scene import BLACK, GREY, PALE, SEEN, broken, clean, describe, legend_entries, new_figure
+from foveate.plotting.scene import SEEN, PlanarScene, broken, describe, legend_entries
 from foveate.plotting.scene_spatial import scene_class
 
 DPI = 100
@@ -28,7 +30,7 @@ HOLD_S = 1.5
 """Duration of the last frame, before the animation repeats."""
 
 
-def animate(data: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
+def animate(data: EpisodeData, path: Path | str, fps: int = 10, size: tuple[int, int] = (900, 500)) -> None:
     """Write an episode as a `.gif` that loops, as `.mp4` (through ffmpeg), or its last moment as `.png`.
 
     Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses or ellipsoids; right, log det
@@ -36,13 +38,13 @@ def animate(data: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] 
     step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers. Raises
     InputError for another ending, a bad size or `fps`, and for `.mp4` where ffmpeg is missing or fails.
     """
+    path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".gif", ".mp4", ".png"):
         raise InputError(f"{path}: expected a name that ends in .gif, .mp4 or .png")
     if min(size) < 200 or any(side % 2 for side in size):
         raise InputError(f"size = {size}: expected two even numbers of pixels, at least 200")
-    if not 1 <= fps <= 50:
-        raise InputError(f"fps = {fps}: expected from 1 to 50 frames a second")
+    _check_rate(fps)
     if kind == ".mp4" and shutil.which("ffmpeg") is None:
         raise InputError(f"{path}: ffmpeg is missing: install it, or write a .gif")
     moments = frame_moments(data.steps, scene_class(data).max_frames)
@@ -53,6 +55,17 @@ def animate(data: EpisodeData, path: Path, fps: int = 10, size: tuple[int, int] 
     else:
         frames = list(_frames(data, moments, size))
         write_atomic(path, _gif(frames, fps) if kind == ".gif" else _mp4(frames, fps))
+
+
+def gif(data: EpisodeData, fps: int = 10, size: tuple[int, int] = (900, 500)) -> bytes:
+    """Animate an episode as the content of a GIF."""
+    _check_rate(fps)
+    return _gif(list(_frames(data, frame_moments(data.steps, scene_class(data).max_frames), size)), fps)
+
+
+def _check_rate(fps: int) -> None:
+    if not 1 <= fps <= 50:
+        raise InputError(f"fps = {fps}: expected from 1 to 50 frames a second")
 
 
 def picture(data: EpisodeData, moment: int, size: tuple[int, int] = (900, 500)) -> np.ndarray:
@@ -75,6 +88,7 @@ def _frames(data: EpisodeData, moments: list[int], size: tuple[int, int]) -> Ite
     moving, show = _scene(figure, data, size)
     for artist in moving:
         artist.set_animated(True)
+    literal(figure)
     canvas.draw()
     still = canvas.copy_from_bbox(figure.bbox)
     for moment in moments:
@@ -91,35 +105,60 @@ def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[li
     kind, unit, bottom, top = scene_class(data), np.array([width, height, width, height]), 82.0, 60.0
     place = kind.place(width, height, bottom, top)
     ground: Any = figure.add_axes(tuple(place / unit), axes_class=kind.axes_class)
-    start, high = place[0] + place[2] + 62, min(place[3], height - bottom - top)
-    curves = figure.add_axes(tuple((start, bottom, width - start - 14, high) / unit))
+    high = min(place[3], height - bottom - top)
+    curves = figure.add_axes(tuple((place[0] + place[2] + 62, bottom, 200, high) / unit))
     scene = kind(ground, data, kind.limits([data]), trail=TRAIL_STEPS, scale=1.15)
     scene.label(9.0)
-    figure.text(14 / width, 1 - 12 / height, describe(data), fontsize=11, fontweight="bold", va="top")
-    clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10)
+    title = figure.text(14 / width, 1 - 12 / height, drawable(describe(data)), fontsize=11, fontweight="bold", va="top")
+    title.set_parse_math(False)
+    title.set_fontsize(11 * min(1.0, (width - 28) / title.get_window_extent().width))
+    clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10, backgroundcolor="white")
     lines, show_curves = _curves(curves, data)
+    start = _make_room(figure, ground if kind is PlanarScene else None, curves, place)
+    curves.set_position(tuple((start, bottom, width - start - 14, high) / unit))
     style = {"frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}
-    below = {"loc": "lower center", "bbox_to_anchor": (0.5, 8 / height), "ncols": 5}
-    figure.legend(handles=legend_entries(), fontsize=min(9.0, width / 100), **below, **style)
+    entries = legend_entries([data])
+    below = {"loc": "lower center", "bbox_to_anchor": (0.5, 8 / height), "ncols": len(entries)}
+    figure.legend(handles=entries, fontsize=min(9.0, width / 100), **below, **style)
 
     def show(moment: int) -> None:
         scene.show(moment)
         show_curves(moment)
         k = moment // SUBSTEPS
         # Poses move between two measurements; which targets are seen stands until the next one.
-        last = f"last look at {data.times_s[k]:.1f} s: {data.seen_at(k).sum()} of {data.present[k].sum()} seen"
+        last = f"measured at {data.times_s[k]:.1f} s: {data.seen_at(k).sum()} of {data.present[k].sum()} detected"
         clock.set_text(f"t = {data.time_at(moment):.1f} s   ({last})")
 
     return [*scene.artists, *lines, clock], show
+
+
+def _make_room(figure: Figure, ground: Axes | None, curves: Axes, place: tuple[float, ...]) -> float:
+    """Move the ground, if given, to the right until its labels fit; return the left side of the curves [pixels]."""
+    left, right = place[0], place[0] + place[2]
+    if ground is not None:
+        shift = max(0.0, 8.0 - _left_of(ground))
+        width, height = figure.bbox.size
+        ground.set_position(((left + shift) / width, place[1] / height, place[2] / width, place[3] / height))
+        right += shift
+    labels = curves.get_window_extent().x0 - _left_of(curves)
+    return right + max(62.0, labels + 16.0)
+
+
+def _left_of(axes: Axes) -> float:
+    """Left side of axes with all their labels [pixels]."""
+    box = axes.get_tightbbox()
+    assert box is not None, "axes that are drawn"
+    return box.x0
 
 
 def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Callable[[int], None]]:
     """Draw log det of every target after every step up to a moment; return as `_scene`."""
     times, mean, present = data.times_s[1:], data.mean_log_det, data.present[1:]
     points = np.stack(np.broadcast_arrays(times[:, None], data.log_det), axis=-1)
-    axes.set_xlim(0, data.times_s[-1] or 1.0)
+    axes.set_xlim(0, 1.015 * data.times_s[-1] or 1.0)  # so that the last dots are whole
     axes.set_ylim(*axis_range(data.log_det_present))
     axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
+    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
     axes.grid(color=PALE, lw=0.6)
     axes.set_axisbelow(True)
     clean(axes, 9.0)
@@ -131,7 +170,7 @@ def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Callable[[int]
     average = axes.add_line(Line2D([], [], color=BLACK, lw=2.0 if short else 1.0))
     handles = [
         Line2D([], [], color=GREY, lw=1.0, label="one target"),
-        Line2D([], [], color=SEEN, ls="none", marker="o", ms=4, label="seen"),
+        Line2D([], [], color=SEEN, ls="none", marker="o", ms=4, label="detected"),
         Line2D([], [], color=BLACK, lw=2.0, label="mean"),
     ]
     style = {"fontsize": 9, "frameon": False, "handlelength": 1.4, "borderpad": 0, "columnspacing": 1.2}

@@ -1,4 +1,4 @@
-"""95 % ellipses and ellipsoids of Gaussian beliefs, and faces of fields of view, as lines and polygons [m].
+"""95 % ellipses and ellipsoids of Gaussian beliefs, faces of fields of view, and boxes, as lines and polygons [m].
 
 A region is the image of the unit disc or ball, x = mean + L u with |u| <= 1; the columns of L are its semi-axes.
 """
@@ -101,6 +101,16 @@ def faces(outline: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray,
             if np.any(at_corners):
                 polygons += list(np.stack([loop, np.roll(loop, -1, 0), np.roll(other, -1, 0), other], axis=1))
     return polygons
+
+
+def box_lines(box: Float[np.ndarray, "2 d"]) -> list[Float[np.ndarray, "_ d"]]:
+    """Edges of a box from its lower to its upper corner: a rectangle; or floor, ceiling, and the four edges between."""
+    (x, y), (x2, y2) = box[:, :2]
+    rectangle = np.array([(x, y), (x2, y), (x2, y2), (x, y2), (x, y)])
+    if box.shape[1] == 2:
+        return [rectangle]
+    floor, ceiling = (np.column_stack([rectangle, np.full(5, height)]) for height in box[:, 2])
+    return [floor, ceiling, *np.stack([floor[:-1], ceiling[:-1]], axis=1)]
 
 
 def is_closed(line: Float[np.ndarray, "n d"]) -> bool:

@@ -3,15 +3,18 @@
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Suite, evaluate_traces
 from foveate.evaluation.metrics import mean_log_det, mean_or_zero
+from foveate.geometry.distance_grid import Nodes
 from foveate.geometry.numpy_poses import arc, positions
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
+from foveate.plotting.walls import walls_of
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
 
 SUBSTEPS = 6
@@ -27,7 +30,8 @@ class EpisodeData:
 
     `pose` is as in `space`, `truth` and `estimate` are positions, `covariance` that of the estimated position;
     `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false, the other entries of a target mean
-    nothing. `outline`: the view's border(s) in the body frame. A *moment* counts SUBSTEPS to a step from the start.
+    nothing. `outline`: the view's border(s) in the body frame; `walls`: distances to obstacles. A *moment* counts
+    SUBSTEPS to a step from the start.
     """
 
     title: str
@@ -41,6 +45,9 @@ class EpisodeData:
     covariance: Float[np.ndarray, "instants n d d"]
     present: Bool[np.ndarray, "instants n"]
     outline: tuple[Float[np.ndarray, "_ d"], ...]
+    region: Float[np.ndarray, "2 d"] | None = None
+    """Lower and upper corner of the region with borders, if the world has one."""
+    walls: Nodes | None = None
 
     def __post_init__(self) -> None:
         if len(self.times_s) != self.steps + 1:
@@ -104,10 +111,10 @@ class EpisodeData:
 
 
 def axis_range(values: Float[np.ndarray, "*m"]) -> tuple[float, float]:
-    """Limits of an axis that shows all finite values with a margin, even if all are equal."""
+    """Limits of an axis that shows all finite values with a margin, at least 2 apart."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    pad = 0.06 * (high - low) + 0.1
+    pad = max(0.06 * (high - low) + 0.1, 1.0 - (high - low) / 2)
     return low - pad, high + pad
 
 
@@ -126,6 +133,8 @@ class Snapshot:
     estimate: Float[np.ndarray, "h d"]
     covariance: Float[np.ndarray, "h d d"]
     seen: Bool[np.ndarray, " h"]
+    columns: Int[np.ndarray, " h"]
+    """Column of each target that is present: with the number of the column, 1 for the first, it is named."""
 
 
 def snapshot(
@@ -154,6 +163,7 @@ def snapshot(
         estimate=between(data.estimate)[present],
         covariance=data.covariance[k][present],
         seen=data.seen_at(k)[present],
+        columns=np.flatnonzero(present),
     )
 
 
@@ -186,6 +196,8 @@ def state_data(
         covariance=Z @ np.linalg.inv(information) @ Z.T,
         present=present,
         outline=tuple(np.asarray(line, float) for line in ([outline] if isinstance(outline, np.ndarray) else outline)),
+        region=None if problem.region is None else np.array([problem.region.low, problem.region.high], float),
+        walls=walls_of(problem),
     )
 
 
@@ -225,6 +237,8 @@ def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[E
     data = []
     for i, scene in enumerate(suite.scenes):
         trace = jax.tree.map(lambda x, i=i: x[i], traces)
-        truth, title = np.asarray(suite.truth.state[i]), f"{name}, {scene.id}, {protocol} protocol"
-        data.append(episode_data(suite.problem, trace, truth, scene.horizon, len(scene.targets), title))
+        truth = np.asarray(suite.truth.state[i])
+        title = f"{name} on {scene.id}" + ", soft view of the paper" * (protocol == "surrogate")
+        problem = suite.problem if suite.problem.obstacles is None else suite.problem.of_map(jnp.asarray(scene.map))
+        data.append(episode_data(problem, trace, truth, scene.horizon, len(scene.targets), title))
     return data

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import prepare
-from foveate.experiment.resolve import Trained, methods_of, scenes_of, subject_of
+from foveate.experiment.resolve import NamedPolicy, methods_of, scenes_of, subject_of
+from foveate.io.figures import DPI, WIDTH
 from foveate.io.records import suggestion
 from foveate.io.validate import seed_number
 from foveate.names import ProtocolName
@@ -21,7 +22,7 @@ MOVING, STILL = (".gif", ".mp4"), (".png", ".pdf", ".svg")
 
 
 def render(
-    policy: Trained | Policy | str | Path,
+    policy: NamedPolicy | Policy | str | Path,
     out: str | Path,
     scenes: str | Path | Sequence[Scene] | None = None,
     *,
@@ -31,6 +32,8 @@ def render(
     seed: int = 0,
     scene_seed: int = 2023,
     scenario: Scenario | None = None,
+    width: float = WIDTH,
+    dpi: int = DPI,
 ) -> list[str]:
     """Draw a policy in the episodes of `foveate.evaluate` with the same seed; return the ids of their scenes.
 
@@ -45,6 +48,8 @@ def render(
         seed: of the noise.
         scene_seed: of the scenes of table1 or own.
         scenario: scenario to act in, by default the one of the training.
+        width: width of a figure [inches]: 9 for a page, 3.5 for a column of a paper.
+        dpi: dots per inch of a .png figure.
     """
     path = Path(out)
     if path.suffix.lower() not in MOVING + STILL:
@@ -58,11 +63,11 @@ def render(
     selected = _selected(*scenes_of(scenes, scene_seed, subject.experiment), scene, moving)
     scenario = subject.experiment.scenario
     suite = prepare(scenario.problem(), scenario.scenes, selected, seed)
-    episodes = suite_data(suite, subject.policy(method), protocol, method)
+    episodes = suite_data(suite, subject.policy(method), protocol, subject.name if method == "policy" else method)
     if moving:
         animate(episodes[0], path)
     else:
-        trajectory_figure(episodes, path)
+        trajectory_figure(episodes, path, width=width, dpi=dpi)
     return [each.id for each in selected]
 
 

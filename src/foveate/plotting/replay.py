@@ -4,7 +4,7 @@ from pathlib import Path
 
 from foveate.plotting.animation import animate
 from foveate.plotting.episode_data import EpisodeData, episode_data
-from foveate.plotting.figures import replay_figure
+from foveate.plotting.replay_figure import replay_figure
 from foveate.recordings.compare import ReplayResult
 from foveate.recordings.replay import PreparedReplay
 from foveate.simulation.records import Trace

@@ -1,34 +1,24 @@
-"""Planar scene of an episode in its axes, and the colours, legend, axes and files of all pictures.
+"""Planar scene of an episode in its axes, with the colours and the legend of scenes."""
 
-Seen and unseen differ in line style too, and the colours are Okabe and Ito's, which colour-blind readers tell apart.
-"""
-
-import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
+from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
-from foveate.errors import InputError
 from foveate.geometry.numpy_poses import placed
-from foveate.io.files import write_atomic
-from foveate.plotting.ellipsoids import ellipses
+from foveate.io.figures import BLACK, BLUE, GREEN, GREY, SKY, VERMILLION, clean
+from foveate.plotting.ellipsoids import box_lines, ellipses, half_widths
 from foveate.plotting.episode_data import EpisodeData, snapshot
+from foveate.plotting.walls import draw, lit
 
-BLUE, SKY, GREEN, VERMILLION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
-PURPLE, BLACK, GREY, PALE = "#CC79A7", "#000000", "#8C8C8C", "#E6E6E6"
-CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-"""Colours of runs and methods, in this order."""
-SEEN, UNSEEN, AGENT = GREEN, VERMILLION, BLUE
+SEEN, UNSEEN, AGENT, BORDER = GREEN, VERMILLION, BLUE, BLACK
 DASHED = (0, (3, 2))
 """Style of lines around unseen targets."""
 KITE = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.4, 0.0], [-0.8, -0.65]])
@@ -38,21 +28,33 @@ KITE = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.4, 0.0], [-0.8, -0.65]])
 def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.ndarray, "2 2"]:
     """Lower and upper corner [m] of the square that shows targets, agent and view of these episodes at every instant.
 
-    Beliefs add at most 15 %: one that is never corrected grows without bound.
+    The first beliefs add at most 40 %, later ones 15 %: one that is never corrected grows without bound. A region is
+    shown whole unless it is more than twice as wide as all that.
     """
-    core, beliefs = [], []
+    core, first, later = [], [], []
     for data in episodes:
         core.append(data.truth[data.present])
         core += [placed(pose, line) for pose in data.pose for line in data.outline]
-        beliefs.append(ellipses(data.estimate[data.present], data.covariance[data.present]).reshape(-1, 2))
-    points, borders = np.concatenate(core), np.concatenate(beliefs)
+        for part, beliefs in ((slice(1), first), (slice(1, None), later)):
+            shown = data.present[part]
+            beliefs.append(ellipses(data.estimate[part][shown], data.covariance[part][shown]).reshape(-1, 2))
+    points = np.concatenate(core)
     low, high = points.min(axis=0), points.max(axis=0)
-    reach = 0.15 * (high - low).max()
-    if len(borders):
-        low = np.minimum(low, np.maximum(borders.min(axis=0), low - reach))
-        high = np.maximum(high, np.minimum(borders.max(axis=0), high + reach))
+    extent, core_low, core_high = (high - low).max(), low, high
+    for beliefs, share in ((first, 0.4), (later, 0.15)):
+        if len(borders := np.concatenate(beliefs)):
+            low = np.minimum(low, np.maximum(borders.min(axis=0), core_low - share * extent))
+            high = np.maximum(high, np.minimum(borders.max(axis=0), core_high + share * extent))
+    low, high = with_regions(low, high, episodes)
     half = (0.5 + margin) * (high - low).max()
     return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
+
+
+def with_regions(low: np.ndarray, high: np.ndarray, episodes: Sequence[EpisodeData]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [m] extended to the regions of these episodes, except for those more than twice as wide."""
+    widest = 2.0 * (high - low).max()
+    near = [data.region for data in episodes if data.region is not None and np.ptp(data.region, axis=0).max() <= widest]
+    return np.min([low, *(region[0] for region in near)], axis=0), np.max([high, *(r[1] for r in near)], axis=0)
 
 
 def broken(tracks: Float[np.ndarray, "instants n d"], shown: Bool[np.ndarray, "instants n"]) -> np.ndarray:
@@ -93,36 +95,49 @@ class PlanarScene:
         tint: str | None = None,
     ) -> None:
         own, seen, unseen, view = (tint,) * 4 if tint else (AGENT, SEEN, UNSEEN, SKY)
-        self.axes, self.data, self.arc, self.trail = axes, data, data.arc(), trail
+        self.colors = seen + "40", unseen + ("00" if tint else "22")
+        self.axes, self.data, self.arc, self.trail, self.side = axes, data, data.arc(), trail, float(np.ptp(box[:, 0]))
         self.size = 0.035 * scale * float(box[1, 0] - box[0, 0])
         axes.set(aspect="equal", xlim=box[:, 0], ylim=box[:, 1])
 
         def line(color: str, **style: Any) -> Line2D:
             return axes.add_line(Line2D([], [], color=color, **style))
 
+        if data.region is not None:
+            axes.plot(
+                *box_lines(data.region)[0].T, color=BORDER, lw=1.2 * scale, zorder=0.9, scalex=False, scaley=False
+            )
         blank = np.zeros((3, 2))
-        border = {"facecolor": view + "55", "edgecolor": own, "lw": 0.7 * scale}
+        # Tints over each other would mix to a third colour.
+        border = {"facecolor": view + ("1A" if tint else "55"), "edgecolor": own, "lw": 0.7 * scale}
         self.views = [Polygon(blank, zorder=1, **border) for _ in data.outline]
+        self.whole = []
+        if data.walls is not None:
+            draw(axes, data.walls)
+            # What obstacles hide of the view is its dotted rest.
+            dotted: dict[str, Any] = {"facecolor": "none", "edgecolor": own, "lw": 0.6 * scale, "ls": (0, (1, 2))}
+            self.whole = [Polygon(blank, zorder=1, **dotted) for _ in data.outline]
         self.path = line(own, lw=1.4 * scale, zorder=2)
         self.trails = line(GREY, lw=0.9 * scale, zorder=2)
         dashed: dict[str, Any] = {"linewidth": 1.0 * scale, "linestyle": DASHED}
-        self.unseen = PolyCollection([], facecolors=unseen + "22", edgecolors=unseen, zorder=3, **dashed)
-        self.seen = PolyCollection([], facecolors=seen + "40", edgecolors=seen, linewidth=1.3 * scale, zorder=5)
+        self.unseen = PolyCollection([], facecolors=self.colors[1], edgecolors=unseen, zorder=3, **dashed)
+        self.seen = PolyCollection([], facecolors=self.colors[0], edgecolors=seen, linewidth=1.3 * scale, zorder=5)
         axes.add_collection(self.unseen, autolim=False)
         axes.add_collection(self.seen, autolim=False)
-        cross = {"ls": "none", "marker": "x", "ms": 6.5 * scale, "mew": 1.3 * scale}
-        self.unseen_means = line(unseen, zorder=4, **cross)
-        self.seen_means = line(seen, zorder=6, **cross)
+        # A detected target is told from others at any size of its ellipse.
+        cross = {"marker": "x", "ms": 3.6 * scale, "mew": 1.0 * scale}
+        self.unseen_means = line(unseen, zorder=4, ls="none", **cross)
+        self.seen_means = line(seen, zorder=6, ls="none", marker="o", ms=6.0 * scale, mec="white", mew=0.5 * scale)
         self.targets = line(BLACK, ls="none", marker="s", ms=2.8 * scale, zorder=7)
         self.agent = Polygon(blank, facecolor=own, edgecolor="white", lw=0.4 * scale, zorder=8)
-        for patch in (*self.views, self.agent):
+        for patch in (*self.whole, *self.views, self.agent):
             axes.add_patch(patch)
 
     @property
     def artists(self) -> list[Artist]:
         """Moving artists, in drawing order."""
         beliefs = (self.unseen, self.unseen_means, self.seen, self.seen_means)
-        return [*self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
+        return [*self.whole, *self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
 
     def show(self, moment: int) -> None:
         """Move to a moment of the episode."""
@@ -130,32 +145,49 @@ class PlanarScene:
         self.trails.set_data(*broken(state.tracks, state.tracked).T)
         self.path.set_data(*state.path.T)
         for view, border in zip(self.views, self.data.outline, strict=True):
+            walls = self.data.walls
+            view.set_xy(placed(state.pose, border) if walls is None else lit(walls, state.pose, border))
+        for view, border in zip(self.whole, self.data.outline, strict=False):
             view.set_xy(placed(state.pose, border))
         self.agent.set_xy(placed(state.pose, self.size * KITE))
         self.targets.set_data(*state.truth.T)
-        beliefs = (self.seen, self.seen_means, state.seen), (self.unseen, self.unseen_means, ~state.seen)
-        for areas, means, which in beliefs:
+        groups = (self.seen, self.seen_means, state.seen), (self.unseen, self.unseen_means, ~state.seen)
+        for (areas, means, which), fill in zip(groups, self.colors, strict=True):
             areas.set_verts(list(ellipses(state.estimate[which], state.covariance[which])))
+            areas.set_facecolor(fills(fill, state.covariance[which], self.side))
             means.set_data(*state.estimate[which].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:
         """Set tick labels and the names of the axes where `x` and `y`; without `y`, no tick labels on that axis."""
         clean(self.axes, size)
         self.axes.tick_params(labelleft=y)
+        self.axes.locator_params(nbins=7, steps=[1, 2, 5, 10])
         if x:
             self.axes.set_xlabel("x [m]", fontsize=size, labelpad=2.5)
         if y:
             self.axes.set_ylabel("y [m]", fontsize=size, labelpad=2.5)
 
 
-def legend_entries() -> list[Artist]:
-    """Legend of the colours and symbols of a scene."""
+def fills(color: str, covariance: Float[np.ndarray, "n d d"], side: float) -> Any:
+    """Fill of each 95 % region, none for one as wide as a scene of this side [m]: it would cover everything."""
+    return [to_rgba(color, 0.0 if each else None) for each in is_wide(covariance, side)] or [to_rgba(color)]
+
+
+def is_wide(covariance: Float[np.ndarray, "n d d"], side: float) -> Bool[np.ndarray, " n"]:
+    """95 % regions that would cover a scene of this side [m]."""
+    return 2.0 * half_widths(covariance).max(axis=-1, initial=0.0) > 0.6 * side
+
+
+def legend_entries(episodes: Sequence[EpisodeData] = ()) -> list[Artist]:
+    """Legend of the colours and symbols of scenes, with the border of their region if any has one."""
+    bordered = any(data.region is not None for data in episodes)
     return [
-        Line2D([], [], color=AGENT, lw=1.5, label="agent and its path"),
+        Line2D([], [], color=AGENT, lw=1.5, label="agent path"),
         Patch(facecolor=SKY + "55", edgecolor=AGENT, lw=0.7, label="field of view"),
-        Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target, its track"),
-        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="estimate (95 %), just seen"),
-        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=DASHED, label="estimate (95 %), not seen"),
+        Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target track"),
+        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="belief (95 %), detected"),
+        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=DASHED, label="belief (95 %), not detected"),
+        *[Line2D([], [], color=BORDER, lw=1.2, label="region")] * bordered,
     ]
 
 
@@ -168,27 +200,3 @@ def describe(data: EpisodeData) -> str:
     else:
         facts = [count] if data.score is None else [count, f"score {data.score:.2f}"]
     return " · ".join([data.title, *facts] if data.title else facts)
-
-
-def clean(axes: Axes, size: float = 8.0) -> None:
-    """Give axes a thin grey frame and small tick labels."""
-    axes.tick_params(labelsize=size, length=2.5, width=0.6, color=GREY, pad=2)
-    for spine in axes.spines.values():
-        spine.set(linewidth=0.6, color=GREY)
-
-
-def new_figure(width: float, height: float, dpi: int = 150, layout: Any = "constrained") -> Figure:
-    """Make a white figure [inches] on a canvas of its own, without pyplot's global state."""
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure whole or not at all, in the format of the ending: .png, .pdf or .svg."""
-    kinds = (".png", ".pdf", ".svg")
-    if path.suffix.lower() not in kinds:
-        raise InputError(f"{path}: expected a name that ends in {', '.join(kinds)}")
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix[1:].lower())
-    write_atomic(path, buffer.getvalue())

@@ -12,9 +12,22 @@ from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection, Poly3DCollectio
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from foveate.geometry.numpy_poses import placed, positions
-from foveate.plotting.ellipsoids import contours, faces, half_widths, lifted, meridians
+from foveate.io.figures import BLACK, GREY, SKY
+from foveate.plotting.ellipsoids import box_lines, contours, faces, half_widths, lifted, meridians
 from foveate.plotting.episode_data import EpisodeData, snapshot
-from foveate.plotting.scene import AGENT, BLACK, DASHED, GREY, SEEN, SKY, UNSEEN, PlanarScene, broken
+from foveate.plotting.scene import (
+    AGENT,
+    BORDER,
+    DASHED,
+    SEEN,
+    UNSEEN,
+    PlanarScene,
+    broken,
+    fills,
+    is_wide,
+    with_regions,
+)
+from foveate.plotting.walls import WALL, loops
 
 DART = np.array([[1.1, 0, 0], [-0.8, 0.65, 0], [-0.8, -0.65, 0], [-0.8, 0, 0.5]])
 DART_FACES, DART_COLORS = ((0, 1, 3), (0, 2, 3), (0, 1, 2), (1, 2, 3)), (AGENT, "#00568A", "#003A5E", "#003A5E")
@@ -48,6 +61,7 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
     reach = max(0.15 * extent, depth - extent / 2)
     low = np.minimum(low, np.maximum(more.min(axis=0), low - reach))
     high = np.maximum(high, np.minimum(more.max(axis=0), high + reach))
+    low, high = with_regions(low, high, episodes)
     pad = margin * (high - low).max() or 0.5
     return np.stack([low - pad, high + pad])
 
@@ -95,7 +109,7 @@ class SpatialScene:
     max_frames = 100
     """Most frames of one animation: the moving camera changes every pixel, and a GIF soon is too large for a page."""
     planes: ClassVar[tuple[tuple[int, int], ...]] = ((0, 1), (0, 2))
-    panel_shape, panel_scale, panel_text = 0.85, 0.7, 6.5
+    panel_shape, panel_scale, panel_text = 0.72, 0.7, 6.5
 
     @staticmethod
     def place(width: int, height: int, bottom: float, top: float) -> tuple[float, float, float, float]:
@@ -106,10 +120,14 @@ class SpatialScene:
         self, axes: SpaceAxes, data: EpisodeData, box: np.ndarray, trail: int | None = None, scale: float = 1.0
     ) -> None:
         self.axes, self.data, self.arc, self.trail, self.faces = axes, data, data.arc(), trail, faces(data.outline)
+        self.side = float((box[1] - box[0]).max())
         self.size, self.floor = 0.045 * float((box[1] - box[0]).max()), float(box[0, 2])
         self.swing = 0.0 if trail is None else SWING
         _furnish(axes, box)
         _aim(axes, box, self.swing)
+        if data.walls is not None:
+            style = {"colors": WALL, "linewidths": 0.9 * scale, "zorder": 1.6}
+            axes.add_collection3d(Line3DCollection(loops(data.walls), **style), autolim=False)
 
         def line(color: str, **style: Any) -> Any:
             return axes.add_line(Line3D([], [], [], color=color, **style))
@@ -120,6 +138,8 @@ class SpatialScene:
         def net(color: str, zorder: float, **style: Any) -> Any:
             return axes.add_collection3d(Line3DCollection([], colors=color, zorder=zorder, **style), autolim=False)
 
+        if data.region is not None:
+            net(BORDER, 1.1, linewidths=0.9 * scale).set_segments(box_lines(data.region))
         self.view_shadow = area(VIEW_SHADE, 1.0, edgecolors=VIEW_SHADE, linewidths=0.6)
         self.path_shadow = line(PATH_SHADE, lw=1.1 * scale, zorder=1.3)
         self.drops = line(GREY, lw=0.7 * scale, ls=(0, (1, 2)), zorder=1.4)
@@ -132,9 +152,8 @@ class SpatialScene:
         self.edges = net(AGENT, 5.1, linewidths=0.9 * scale)
         self.seen = area(SEEN + "48", 6.0, edgecolors=SEEN, linewidths=1.3 * scale)
         self.seen_net = net(SEEN + "AA", 6.1, linewidths=0.7 * scale)
-        cross = {"ls": "none", "marker": "x", "ms": 5.5 * scale, "mew": 1.1 * scale}
-        self.unseen_means = line(UNSEEN, zorder=3.2, **cross)
-        self.seen_means = line(SEEN, zorder=6.2, **cross)
+        self.unseen_means = line(UNSEEN, zorder=3.2, ls="none", marker="x", ms=4.5 * scale, mew=1.0 * scale)
+        self.seen_means = line(SEEN, zorder=6.2, ls="none", marker="o", ms=6.5 * scale, mec="white", mew=0.5 * scale)
         self.targets = line(BLACK, ls="none", marker="s", ms=3.0 * scale, zorder=7)
         self.agent = area(DART_COLORS, 8.0, edgecolors="white", linewidths=0.4 * scale)
 
@@ -165,7 +184,10 @@ class SpatialScene:
         for areas, net, means, which in (seen, unseen):
             belief = state.estimate[which], state.covariance[which]
             areas.set_verts(list(contours(*belief, eye)))
-            net.set_segments(list(meridians(*belief, eye)))
+            filled = fills(SEEN + "48" if areas is self.seen else UNSEEN + "1A", belief[1], self.side)
+            areas.set_facecolor(filled)
+            near = ~is_wide(belief[1], self.side)
+            net.set_segments(list(meridians(belief[0][near], belief[1][near], eye)))
             means.set_data_3d(*belief[0].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from foveate.geometry.space import Space
+from foveate.io.settings import Settings
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.policies.inputs import Frame, Scale, policy_inputs, require_position_first
@@ -17,7 +18,7 @@ from foveate.types import Action, Key
 
 
 @dataclass(frozen=True, kw_only=True)
-class AttentionSettings:
+class AttentionSettings(Settings):
     """Settings of the paper's network.
 
     Positions enter in units of `length_m` (the paper: metres): distances of many units would saturate the attention of
@@ -39,6 +40,7 @@ class AttentionSettings:
     information: Scale = "plain"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("agent_widths", "target_widths", "out_widths"):
             widths = getattr(self, name)
             require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")

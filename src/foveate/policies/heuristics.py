@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.names import HEURISTICS
+from foveate.policies.detour import next_place
+from foveate.policies.steering import steer
 from foveate.simulation.records import Observation, Policy
-from foveate.types import Action, Flag, Key, Point, Scalar
+from foveate.types import Action, Flag, Key, Point
 
 LANES = 6
 """Lanes of the lawnmower: an even number, so that the sweep ends where it can begin again."""
@@ -40,7 +40,10 @@ class Still(Policy):
 
 
 class Steering(Policy):
-    """Turns to a goal and stops `standoff_m` [m] before it; subclasses choose the goal."""
+    """Turns to a goal and stops `standoff_m` [m] before it; subclasses choose the goal.
+
+    Among obstacles it drives around them, on the shortest way of the agent's body.
+    """
 
     problem: Problem
     standoff_m: float = eqx.field(static=True)
@@ -53,23 +56,15 @@ class Steering(Policy):
         """Steer to the goal; stop if none exists."""
         goal_world, exists, memory = self.goal(observation, memory)
         agent = self.problem.agent
+        standoff_m = self.standoff_m
+        if self.problem.obstacles is not None:
+            obstacles = self.problem.of_map(observation.map_number).obstacles
+            assert obstacles is not None, "as just seen"
+            goal_world, direct = next_place(obstacles, agent.space.position(observation.pose), goal_world)
+            standoff_m = jnp.where(direct, standoff_m, 0.0)
         goal_body = agent.space.to_body(observation.pose, goal_world)
-        twist = twist_towards(goal_body, self.standoff_m, self.problem.at(observation.step).tau)
-        steer = agent.action(twist[jnp.array(agent.axes)])
-        return jnp.where(exists, steer, agent.action(jnp.zeros_like(agent.lower))), memory
-
-
-def twist_towards(point_body: Point, standoff_m: float | Scalar, tau: Scalar) -> Float[Array, " n_u"]:
-    """Twist that faces a body-frame point [m], and ends `standoff_m` [m] before it, after one period `tau` [s]."""
-    range_m = jnp.hypot(point_body[0], point_body[1])
-    bearing = jnp.arctan2(point_body[1], point_body[0])
-    # Heading first: a vehicle that cannot move sideways would drive past its goal while it still turns.
-    ahead = jnp.maximum(jnp.cos(bearing), 0.0) * (range_m - standoff_m)
-    zero = jnp.zeros_like(ahead)
-    if len(point_body) == 2:
-        return jnp.stack([ahead, zero, bearing]) / tau
-    elevation = jnp.arctan2(point_body[2], range_m)
-    return jnp.stack([ahead, zero, point_body[2], zero, -elevation, bearing]) / tau
+        action = steer(agent, self.problem.at(observation.step).tau, goal_body, standoff_m)
+        return jnp.where(exists, action, agent.action(jnp.zeros_like(agent.lower))), memory
 
 
 class Nearest(Steering):
@@ -96,6 +91,16 @@ class Uncertain(Steering):
         return position[choice], observation.present.any(), memory
 
 
+def box_of(problem: Problem, observation: Observation, given: Float[Array, "2 d"] | None) -> tuple[Point, Point]:
+    """Low and high corner [m] of the given box, or else of that of the means; the agent's place without any."""
+    if given is not None:
+        return given[0], given[1]
+    position, mask = problem.motion.position(observation.mean), observation.present[:, None]
+    agent_world, empty = problem.agent.space.position(observation.pose), ~observation.present.any()
+    low = jnp.where(empty, agent_world, jnp.min(position, axis=0, initial=jnp.inf, where=mask))
+    return low, jnp.where(empty, agent_world, jnp.max(position, axis=0, initial=-jnp.inf, where=mask))
+
+
 class Lawnmower(Steering):
     """Sweeps a box in parallel lanes, repeatedly: `box_world` (low, high corner [m]), or that of the initial beliefs.
 
@@ -107,13 +112,7 @@ class Lawnmower(Steering):
     def start(self, observation: Observation) -> Any:
         """The corners of the lanes, shape (2 LANES, d), and the index of the one nearest the agent."""
         agent_world = self.problem.agent.space.position(observation.pose)
-        if self.box_world is None:
-            position, mask = self.problem.motion.position(observation.mean), observation.present[:, None]
-            empty = ~observation.present.any()
-            low = jnp.where(empty, agent_world, jnp.min(position, axis=0, initial=jnp.inf, where=mask))
-            high = jnp.where(empty, agent_world, jnp.max(position, axis=0, initial=-jnp.inf, where=mask))
-        else:
-            low, high = self.box_world
+        low, high = box_of(self.problem, observation, self.box_world)
         across = jnp.repeat((jnp.arange(LANES, dtype=low.dtype) + 0.5) / LANES, 2)
         along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0], low.dtype), LANES // 2)
         middle = jnp.full((2 * LANES, low.shape[0] - 2), 0.5, low.dtype)
@@ -130,22 +129,3 @@ class Lawnmower(Steering):
         distance_m = jnp.linalg.norm(corners[index] - agent.space.position(observation.pose))
         index = jnp.where(distance_m < reach, (index + 1) % len(corners), index)
         return corners[index], jnp.array(True), (corners, index)
-
-
-def heuristic(name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-    """Resolve the name of a heuristic; raises InputError for an unknown one.
-
-    Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
-    box that the lawnmower sweeps; None takes that of the initial beliefs.
-    """
-    # Half the depth keeps a target in the middle of the view, whichever way it moves.
-    policies: dict[str, Policy] = {
-        "random": Random(problem),
-        "still": Still(problem),
-        "nearest": Nearest(problem, 0.5 * depth_m),
-        "uncertain": Uncertain(problem, 0.5 * depth_m),
-        "lawnmower": Lawnmower(problem, 0.0, box_world),
-    }
-    if name not in policies:
-        raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
-    return policies[name]

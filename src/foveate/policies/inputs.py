@@ -5,7 +5,9 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import multiply, vech
+from foveate.geometry.sight import fan
 from foveate.geometry.space import Space
 from foveate.io.validate import require
 from foveate.models.problem import Problem
@@ -14,20 +16,6 @@ from foveate.types import Scalar
 
 Frame = Literal["body", "world"]
 Scale = Literal["plain", "asinh"]
-
-MIN_RANGE_M = 0.1
-"""Below this range the direction of a target fades to zero: at the agent itself it has none, nor a derivative."""
-
-STEPS_LEFT_UNIT = 10.0
-"""Unit of the steps left; beyond MAX_STEPS_LEFT of it they make no difference."""
-
-MAX_STEPS_LEFT = 3.0
-
-FINAL_STEPS = 3.0
-"""Scale of exp(-left / FINAL_STEPS), the feature that resolves the last steps of an episode."""
-
-TARGETS_UNIT = 5.0
-"""Unit of the number of targets: a usual one, so that the feature is near 1."""
 
 
 def policy_inputs(
@@ -55,34 +43,6 @@ def policy_inputs(
         information = multiply(jnp.swapaxes(rows_body, -1, -2).reshape(-1, d), turn).reshape(n, size, size)
     packed = vech(information)
     return pose, jnp.concatenate([mean / length_m, jnp.arcsinh(packed) if scale == "asinh" else packed], axis=-1)
-
-
-def pointer_features(observation: Observation, space: Space, length_m: float) -> Float[Array, "n features"]:
-    """Features of each target for the pointer network: the paper's in the body frame, and others.
-
-    These are its direction, the logarithm of its range, the steps left on two scales, the number of targets, and its
-    known input. Directions and logarithms resolve near and far targets alike, which plain coordinates do not.
-    """
-    d, n = space.dimension, len(observation.present)
-    _, paper = policy_inputs(observation, space, "body", length_m, "asinh")
-    position_body = paper[:, :d] * length_m
-    distance = jnp.sqrt(jnp.sum(position_body**2, axis=-1, keepdims=True) + MIN_RANGE_M**2)
-    # Negative in the padding after the end of an episode, where the exponential would overflow.
-    left = jnp.maximum(observation.left, 0).astype(paper.dtype)
-    steps = (jnp.minimum(left / STEPS_LEFT_UNIT, MAX_STEPS_LEFT), jnp.exp(-left / FINAL_STEPS))
-    common = jnp.stack([*steps, jnp.sum(observation.present).astype(paper.dtype) / TARGETS_UNIT])
-    parts = [paper, position_body / distance, jnp.log(distance), jnp.broadcast_to(common, (n, 3))]
-    if observation.known_input.shape[-1] == d:  # a displacement in the world: rotated as positions are
-        parts.append(multiply(observation.known_input, space.rotation(observation.pose)))
-    return jnp.concatenate(parts, axis=-1)
-
-
-def pointer_feature_count(problem: Problem) -> int:
-    """Number of `pointer_features` of a target. Raises InputError where a state does not begin with the position."""
-    require_position_first(problem, "kind", "pointer")
-    d, n_y = problem.agent.space.dimension, problem.motion.state_size
-    known_input = d if problem.motion.input_size == d else 0
-    return n_y + n_y * (n_y + 1) // 2 + (d + 1) + known_input + 3
 
 
 def require_position_first(problem: Problem, name: str, value: str) -> None:
@@ -115,3 +75,33 @@ def masked_features(
     agent, targets = policy_inputs(observation, space, frame, length_m, scale)
     targets = jnp.where(observation.present[:, None], targets, 0.0)
     return Features(agent, targets, observation.present.astype(agent.dtype), left[None].astype(agent.dtype))
+
+
+class RangedFeatures(NamedTuple):
+    """`Features` of a robot among obstacles, with free ranges along rays and the targets that no obstacle hides."""
+
+    agent: Float[Array, " n_u"]
+    targets: Float[Array, "n features"]
+    mask: Float[Array, " n"]
+    left: Float[Array, " 1"]
+    ranges: Float[Array, " rays"]
+    """Free range along each ray as a share of the longest; the first ray is straight ahead, the others turn left."""
+    clear: Float[Array, " n"]
+    """1 where the line to the mean of a belief is free."""
+
+
+def with_ranges(features: Features, observation: Observation, rays: int, most_m: float) -> RangedFeatures:
+    """Add to features what obstacles leave: ranges up to `most_m` [m] (see `geometry.sight.fan`), and lines of sight.
+
+    Raises InputError for an observation without obstacles.
+    """
+    robot = observation.robot
+    obstacles = None if robot is None else robot.problem.obstacles
+    if robot is None or obstacles is None:
+        raise InputError(f"rays = {rays}: expected 0, or a scenario with obstacles")
+    space = robot.problem.agent.space
+    directions = jnp.asarray(fan(rays, space.dimension), observation.mean.dtype)
+    ranges = obstacles.ranges(space, observation.pose, directions, most_m) / most_m
+    positions_world = robot.problem.motion.position(observation.mean)
+    clear = obstacles.sees(space.position(observation.pose), positions_world, observation.present)
+    return RangedFeatures(*features, ranges, clear.astype(ranges.dtype))

@@ -3,68 +3,109 @@
 A network with a single action answers two equally good targets with the mean of both, which leads to neither. This one
 is a mixture (Vinyals 2015, "Pointer Networks"; Bishop 1994, "Mixture Density Networks") on targets encoded as a set
 (Zaheer 2017, Lee 2019). A learner samples among its modes, and so explores which target comes next.
+
+Aiming is given, deciding is learned: the first mode of a target is the steering law towards it plus a learned
+correction, and the first weights are those of a heuristic. So the untrained policy is that heuristic.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from foveate.geometry.space import Space
-from foveate.io.validate import positive, require
+from foveate.io.settings import Settings, tag
+from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.policies.inputs import pointer_feature_count, pointer_features
+from foveate.names import Objective
 from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
+from foveate.policies.tokens import Tokens, token_size, tokens_of, untold
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
 PADDING_LOG_WEIGHT = -1e9
 """Log weight of the modes of padding: probability 0, but finite, so that derivatives are finite."""
 
+FREE_LOG_WEIGHT = -4.0
+"""First log weight of modes that do not aim, relative to the best that does: explored, but rarely."""
+
+FIRST_SCALE = 0.01
+"""Factor of the first random weights of the last layers: the untrained policy is the heuristic."""
+
+PREFERENCE = (1.0, 0.5)
+"""First preference: log weight lost for each nat of log det, and for each step until the target is in view."""
+
+LARGEST_CORRECTION = 2.0
+"""Largest correction of an aimed action: the whole range of an axis."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class PointerSettings:
+class PointerSettings(Settings):
     """Settings of a pointer network.
 
     `heads` is the number of attention queries that pool the targets into the context, `modes` the number of actions
-    proposed for each target. Positions enter in units of `length_m`.
+    proposed for each target, the first of them aimed. With `tells_time` it is told the steps that are
+    left; None leaves that to the learner, whose objective may depend on them.
+
+    The network has the same shape for every robot of a space. `begin_with`, a preset or a run folder, gives the weights
+    that a training begins with.
     """
 
-    kind: Literal["pointer"]
-    target_widths: tuple[int, ...] = (64, 64, 64)
+    REMOVED: ClassVar[tuple[str, ...]] = ("mode_widths", "length_m")
+    kind: Literal["pointer"] = tag("pointer")
+    target_widths: tuple[int, ...] = (64, 64)
     """Layers on each target."""
     heads: int = 4
     context_widths: tuple[int, ...] = (64, 64)
     """Layers on the context."""
-    mode_widths: tuple[int, ...] = (64,)
-    """Layers before the modes."""
+    mode_width: int = 64
+    """Layer before the modes."""
     modes: int = 2
-    length_m: float = 5.0
+    tells_time: bool | None = None
+    begin_with: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("target_widths", "context_widths", "mode_widths"):
+        super().__post_init__()
+        for name in ("target_widths", "context_widths"):
             widths = getattr(self, name)
             require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
-        for name in ("heads", "modes"):
+        for name in ("heads", "modes", "mode_width"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
-        positive(self, "length_m")
 
-    def policy(self, problem: Problem, key: Key) -> "PointerPolicy":
-        """A network with random weights, sized for the problem's space, targets and actuated axes."""
-        axes, embedding, context = len(problem.agent.axes), self.target_widths[-1], self.context_widths[-1]
+    def policy(
+        self,
+        problem: Problem,
+        key: Key,
+        objective: Objective = "terminal",
+        others: Collection[Objective] = (),
+    ) -> "PointerPolicy":
+        """A network with random weights, sized for the problem's space, and told the objective.
+
+        `others` are further objectives of its training, as in worlds of random robots.
+        """
+        axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (pointer_feature_count(problem), *self.target_widths),
+            (token_size(problem), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
-            (embedding + context, *self.mode_widths, self.modes * (1 + axes)),
+            (embedding, self.mode_width),
+            (context, self.mode_width),
+            (self.mode_width, self.modes * (1 + axes)),
             (context, 1 + axes),
         )
-        target, query, context_layers, mode, idle = fresh_layers(widths, key)
-        encoder = SetEncoder(target, query, problem.agent.space, self.length_m)
-        return PointerPolicy(encoder, context_layers, mode, idle, self.modes)
+        target, query, context_layers, *heads = fresh_layers(widths, key)
+        # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
+        tells_time = self.tells_time is not False
+        weight = jnp.where(untold(problem, (objective, *others), tells_time), 0.0, target[0].weight)
+        target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
+        by_target, by_context, mode, idle = (layers[0] for layers in heads)
+        mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
+        encoder = SetEncoder(target, query)
+        layers = (encoder, context_layers, by_target, by_context, mode, idle)
+        return PointerPolicy(*layers, jnp.array(PREFERENCE), self.modes, objective, tells_time)
 
 
 class SetEncoder(eqx.Module):
@@ -72,22 +113,23 @@ class SetEncoder(eqx.Module):
 
     target_layers: Layers
     query_layers: Layers
-    space: Space = eqx.field(static=True)
-    length_m: float = eqx.field(static=True)
 
-    def __call__(self, observation: Observation) -> tuple[Float[Array, "n embedding"], Float[Array, " pooled"]]:
+    def __call__(self, tokens: Tokens) -> tuple[Float[Array, "n embedding"], Float[Array, " pooled"]]:
         """The embedding of each target, and the pooled one of all, zero where none is present."""
-        targets = apply_relu(self.target_layers, pointer_features(observation, self.space, self.length_m))
+        targets = apply_relu(self.target_layers, tokens.features)
         (query,) = self.query_layers
-        weights = jax.vmap(masked_softmax, (1, None))(jax.vmap(query)(targets), observation.present)
+        weights = jax.vmap(masked_softmax, (1, None))(jax.vmap(query)(targets), tokens.present)
         return targets, (weights @ targets).ravel()
 
 
 class Modes(NamedTuple):
-    """A mixture: log weight of each mode, not normalised, and its action in [-1, 1]."""
+    """A mixture: log weight of each mode, not normalised, and its action on every axis of the twist.
+
+    Beyond [-1, 1] the agent's limits hold.
+    """
 
     log_weight: Float[Array, " modes"]
-    action: Float[Array, "modes m"]
+    action: Float[Array, "modes n_u"]
 
 
 class PointerPolicy(Policy):
@@ -95,24 +137,51 @@ class PointerPolicy(Policy):
 
     encoder: SetEncoder
     context_layers: Layers
-    mode_layers: Layers
-    idle_layers: Layers
+    by_target: eqx.nn.Linear
+    by_context: eqx.nn.Linear
+    mode_layer: eqx.nn.Linear
+    idle_layer: eqx.nn.Linear
+    preference: Float[Array, "2"]
     per_target: int = eqx.field(static=True)
+    objective: Objective = eqx.field(static=True)
+    tells_time: bool = eqx.field(static=True)
 
-    def modes(self, observation: Observation) -> Modes:
+    def tokens(self, observation: Observation) -> Tokens:
+        """What the network is told of an observation."""
+        return tokens_of(observation, self.objective, self.tells_time)
+
+    def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""
-        targets, context = self.encoder(observation)
+        targets, context = self.encoder(tokens)
         context = apply_relu(self.context_layers, context)
-        both = jnp.concatenate([targets, jnp.broadcast_to(context, (len(targets), len(context)))], axis=-1)
-        hidden = apply_relu(self.mode_layers[:-1], both)
-        numbers = jax.vmap(self.mode_layers[-1])(hidden).reshape(len(targets), self.per_target, -1)
-        (idle,) = self.idle_layers
-        log_weight = jnp.where(observation.present[:, None], numbers[..., 0], PADDING_LOG_WEIGHT)
-        raw, last = numbers[..., 1:].reshape(log_weight.size, -1), idle(context)
-        action = jnp.tanh(jnp.concatenate([raw, last[None, 1:]]))
-        return Modes(jnp.append(log_weight.ravel(), last[0]), action)
+        # A layer on [target, context] is the sum of one on each: that of the context is computed once.
+        hidden = jax.nn.relu(jax.vmap(self.by_target)(targets) + self.by_context(context))
+        # Sizes by name: there may be no target at all.
+        axes = len(tokens.unit)
+        numbers = jax.vmap(self.mode_layer)(hidden).reshape(targets.shape[0], self.per_target, 1 + axes)
+        idle = self.idle_layer(context)
+
+        first = -tokens.urgency @ self.preference
+        best = jnp.max(first, initial=-jnp.inf, where=tokens.present)
+        first = first - jnp.where(jnp.isfinite(best), best, 0.0)
+        free = jnp.full((first.shape[0], self.per_target - 1), FREE_LOG_WEIGHT)
+        log_weight = numbers[..., 0] + jnp.concatenate([first[:, None], free], axis=-1)
+        log_weight = jnp.where(tokens.present[:, None], log_weight, PADDING_LOG_WEIGHT)
+        # Corrections in units of the view, added after the law's own limits so that none is lost at them.
+        aimed = tokens.aim + LARGEST_CORRECTION * jnp.tanh(numbers[:, 0, 1:] * tokens.unit)
+        actuated = tokens.unit > 0
+        free, rest = (jnp.where(actuated, jnp.tanh(x), 0.0) for x in (numbers[:, 1:, 1:], idle[None, 1:]))
+        action = jnp.concatenate([aimed[:, None], free], axis=1).reshape(log_weight.size, axes)
+        log_weights = jnp.append(log_weight.ravel(), idle[0] + FREE_LOG_WEIGHT)
+        return Modes(log_weights, jnp.concatenate([action, rest]))
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: the action of the mode with the largest weight."""
-        modes = self.modes(observation)
-        return modes.action[jnp.argmax(modes.log_weight)], memory
+        modes = self.modes(self.tokens(observation))
+        return command(observation, modes.action[jnp.argmax(modes.log_weight)]), memory
+
+
+def command(observation: Observation, action: Float[Array, " n_u"]) -> Action:
+    """The action on the robot's own axes, within [-1, 1]."""
+    assert observation.robot is not None, "tokens_of rejects others"
+    return jnp.clip(jnp.stack([action[axis] for axis in observation.robot.problem.agent.axes]), -1.0, 1.0)

@@ -1,47 +1,44 @@
 """Compare methods on a recording: each drives through it from the same starts, with the same noise."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
-from foveate.experiment.resolve import Subject, Trained, methods_of, subject_of
+from foveate.experiment.resolve import NamedPolicy, Subject, subject_of
+from foveate.experiment.subjects import other_period
 from foveate.io.files import write_document
 from foveate.io.progress import Bar
 from foveate.io.tables import Table, html, text
-from foveate.io.validate import check_count, seed_number
-from foveate.names import GATE
+from foveate.io.validate import seed_number
+from foveate.names import GATE, Part
 from foveate.recordings import replay as replays
-from foveate.recordings.formats import load_window
+from foveate.recordings.choice import Candidate, best_of
+from foveate.recordings.formats import AnyPath, load_window
+from foveate.recordings.methods import method_in, replay_methods
 from foveate.recordings.motion import default_max_gap_s
+from foveate.recordings.outliers import clean, lines_of
 from foveate.recordings.plausibility import warnings_for
-from foveate.recordings.recording import Recording
+from foveate.recordings.recording import Recording, moved
 from foveate.recordings.replay import PreparedReplay, ReplayRow, prepare_replay
+from foveate.recordings.replay_table import replay_table
+from foveate.recordings.split import Shares, parsed_split, part_of, span_of
+from foveate.recordings.starts import agent_starts
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Policy, Trace
-
-COLUMNS: dict[str, tuple[str, str]] = {
-    "time seen": ("seen_time_fraction", ".1%"),
-    "ever seen": ("seen_fraction", ".0%"),
-    "longest unseen [s]": ("longest_unseen_s", ".2f"),
-    "log det": ("log_det_mean", ".2f"),
-    "rmse [m]": ("rmse_m", ".2f"),
-    "nees": ("nees", ".2f"),
-    "of the seen": ("nees_seen", ".2f"),
-    "of the never seen": ("nees_unseen", ".2f"),
-    "lost": ("lost", ".2f"),
-    "rejected": ("rejected", ".2f"),
-}
-"""Heading of each mean in the table: the field of `ReplayRow`, and its format."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReplaySettings:
-    """Settings of a replay beside the experiment and the recording; times in [s], poses in [m, rad]."""
+    """Settings of a replay beside the experiment and the recording; times in [s], poses in [m, rad].
+
+    With a `split`, `part` was replayed. `candidates` were compared on the part to choose on; `run` is the best of them.
+    """
 
     run: str
     recording: str
@@ -51,6 +48,9 @@ class ReplaySettings:
     end_s: float | None
     max_gap_s: float
     starts: list[list[float]]
+    split: Shares | None = None
+    part: Part | None = None
+    candidates: tuple[Candidate, ...] = ()
 
     def __post_init__(self) -> None:
         seed_number(self.seed, "seed")
@@ -74,13 +74,7 @@ class ReplayResult:
     @property
     def table(self) -> Table:
         """Means over the starts, one line a method."""
-        lines = []
-        for method in self.traces:
-            rows = [row for row in self.rows if row.method == method]
-            means = [_mean([getattr(row, name) for row in rows], form) for name, form in COLUMNS.values()]
-            lines.append((method, f"{rows[0].targets} tracks", *means))
-        title = f"{self.settings.recording}: mean of {len(self.settings.starts)} start(s)"
-        return Table(title=title, header=("method", "targets", *COLUMNS), rows=tuple(lines))
+        return replay_table(self.settings.recording, self.rows)
 
     def to_json(self, path: str | Path) -> None:
         """Write the rows as JSON, as `foveate replay --json`."""
@@ -94,40 +88,20 @@ class ReplayResult:
         return html(self.table)
 
 
-def _mean(values: Sequence[float | int | None], form: str) -> str:
-    numbers = [value for value in values if value is not None]
-    return f"{np.mean(numbers):{form}}" if numbers else "-"
-
-
-def _agent_starts(
-    recording: Recording, scenario: Scenario, given: Sequence[float] | None, count: int, seed: int
-) -> list[list[float]]:
-    """Return the given pose, several random ones, or the middle of the recording."""
-    check_count(count, "starts")
-    if given is None and count > 1:
-        return replays.random_agent_starts(recording, scenario, count, seed)
-    if given is None:
-        return [replays.default_agent_start(recording, scenario)]
-    if count > 1:
-        raise InputError("agent_start and starts: expected one of them")
-    numbers = [float(number) for number in given]
-    try:
-        scenario.agent.agent().space.from_numbers(numbers)
-    except InputError as error:
-        raise InputError(f"agent_start {','.join(f'{number:g}' for number in numbers)}: {error}") from None
-    return [numbers]
-
-
 def replay(
-    policy: Trained | Policy | str | Path,
-    recording: Recording | str | Path,
+    policy: NamedPolicy | Policy | str | Path,
+    recording: Recording | AnyPath | Sequence[AnyPath],
     *,
     method: str | Sequence[str] = "all",
     start: float | None = None,
     end: float | None = None,
+    split: str | Sequence[float] | None = None,
+    part: Part = "judge",
+    candidates: Sequence[NamedPolicy | str | Path] = (),
     agent_start: Sequence[float] | None = None,
     starts: int = 1,
     max_gap: float | None = None,
+    max_speed: float | None = None,
     gate: float | None = GATE,
     seed: int = 0,
     scenario: Scenario | None = None,
@@ -135,49 +109,102 @@ def replay(
 ) -> ReplayResult:
     """Drive a policy, and heuristics beside it, through a recording of real targets, all with the same noise.
 
-    Lines that begin with "warning:" go to standard error.
+    Lines that begin with "warning:", and what the reader of the recording took for granted, go to standard error.
 
     Args:
         policy: as for `foveate.evaluate`.
-        recording: a file, or what `foveate.load_recording` reads from it.
-        method: as for `foveate.evaluate`.
+        recording: files with the header time_s,track_id,x_m,y_m[,z_m], or what `foveate.load_recording` reads.
+        method: as for `foveate.evaluate`; also planners in receding horizon: "icr" as published, "icr-4" from 4
+            starts, "refine-15" from the policy's actions by 15 steps of ascent.
         start: first time to replay [s].
         end: last time to replay [s].
-        agent_start: pose to start from [m, rad], as numbers; by default the middle of the recording.
+        split: shares of that time to train on, to choose on and to judge on, as "60,20,20".
+        part: part of the split to replay: "train", "choose" or "judge".
+        candidates: further policies; the best of all on the part to choose on is replayed on the part to judge on.
+        agent_start: pose to start from [m, rad], as numbers, on the recording's map if that is in metres; by default
+            the middle of the recording.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
+        max_speed: fastest that a target can move [m/s]: a step above is a jump, where its track is cut, or a wrong fix,
+            which is left out; by default steps far above those of the track; infinity keeps all.
         gate: probability of the filter's chi-square gate; None accepts every measurement.
         seed: of the noise and of random starts.
         scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
-    subject, part = subject_of(policy, scenario), load_window(recording, start, end)
+    subjects = [subject_of(each, scenario) for each in (policy, *candidates)]
+    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, seed, not progress)
+    return _judged(subjects, load_window(recording, start, end), replay_methods(method), given)
+
+
+class _Given(NamedTuple):
+    """The arguments of `replay` of these names; `quiet`: without a bar."""
+
+    start: float | None
+    end: float | None
+    split: str | Sequence[float] | None
+    part: Part
+    agent_start: Sequence[float] | None
+    starts: int
+    max_gap: float | None
+    max_speed: float | None
+    gate: float | None
+    seed: int
+    quiet: bool
+
+
+def _judged(subjects: Sequence[Subject], recording: Recording, methods: Sequence[str], given: _Given) -> ReplayResult:
+    """Replay the only subject, or the best of several on the part to choose on."""
+    if len(subjects) == 1:
+        return _replayed(subjects[0], recording, methods, given)
+    if given.split is None or given.part != "judge":
+        raise InputError("candidates: expected a split, on whose middle part they are compared, and part judge")
+    choosing = given._replace(part="choose")
+    compared = {each.name: _replayed(each, recording, ["policy"], choosing).rows for each in subjects}
+    best, candidates = best_of(subjects, compared)
+    result = _replayed(best, recording, methods, given)
+    return replace(result, settings=replace(result.settings, candidates=candidates))
+
+
+def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], given: _Given) -> ReplayResult:
+    scenario, shares = subject.experiment.scenario, None if given.split is None else parsed_split(given.split)
+    mine = moved(recording, scenario.origin)
+    used = prepared(mine if shares is None else part_of(mine, shares, given.part), given.max_speed)
     settings = ReplaySettings(
         run=subject.name,
-        recording=Path(part.name).name,
-        seed=seed,
-        gate=gate,
-        start_s=start,
-        end_s=end,
-        max_gap_s=default_max_gap_s(part) if max_gap is None else max_gap,
-        starts=_agent_starts(part, subject.experiment.scenario, agent_start, starts, seed),
+        recording=used.short_name if shares is None else f"{used.short_name}, {span_of(used)}",
+        seed=given.seed,
+        gate=given.gate,
+        start_s=given.start,
+        end_s=given.end,
+        max_gap_s=default_max_gap_s(used) if given.max_gap is None else given.max_gap,
+        starts=agent_starts(used, scenario, given.agent_start, given.starts, given.seed),
+        split=shares,
+        part=None if shares is None else given.part,
     )
-    return _run(subject, methods_of(method), part, settings, quiet=not progress)
+    return _run(subject, methods, used, settings, given.quiet)
+
+
+def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
+    """The recording without jumps and wrong fixes, which its notes name."""
+    cleaned = clean(recording, max_speed_m_s)
+    return replace(cleaned.recording, notes=(*recording.notes, *lines_of(cleaned.findings)))
 
 
 def _run(
     subject: Subject, methods: Sequence[str], part: Recording, settings: ReplaySettings, quiet: bool
 ) -> ReplayResult:
     scenario, box_world = subject.experiment.scenario, jnp.asarray(np.stack(part.extent), float)
-    policies = {name: subject.policy(name, box_world) for name in methods}
-    rows, traces, warnings = [], {}, []
-    with Bar("replaying", len(settings.starts) * len(policies), "runs", quiet) as bar:
+    rows, traces, warnings, policies = [], {}, [], {}
+    with Bar("replaying", len(settings.starts) * len(methods), "runs", quiet) as bar:
         for start in settings.starts:
             ready = prepare_replay(scenario, part, start, settings.max_gap_s, settings.seed, settings.gate)
             if not rows:  # the recording is the same from every start
-                warnings = warnings_for(scenario, part, ready.slots, settings.max_gap_s)
-                for line in warnings:
-                    bar.say(f"warning: {line}")
+                warnings = [*other_period(subject), *warnings_for(scenario, part, ready.slots, settings.max_gap_s)]
+                for line in (*part.notes, *(f"warning: {line}" for line in warnings)):
+                    bar.say(line)
+                steps = len(ready.slots.times_s) - 1
+                policies = {name: method_in(subject, name, box_world, steps) for name in methods}
             for name, policy in policies.items():
                 row, trace = replays.drive(ready, name, policy)
                 rows.append(row)

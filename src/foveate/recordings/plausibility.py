@@ -25,12 +25,12 @@ def warnings_for(scenario: Scenario, recording: Recording, slots: Slots, max_gap
         first = int(np.argmax(gaps))
         lines.append(
             f"nothing is recorded between {times[first]:.10g} s and {times[first + 1]:.10g} s: all targets leave and "
-            "appear again; if the clock jumped, cut the recording there with --start or --end"
+            "appear again; if the clock jumped, cut the recording there by start or end"
         )
     interval = median_fix_interval_s(recording) if any(len(track.times_s) > 1 for track in recording.tracks) else 0.0
     if interval > max_gap_s:
         lines.append(
-            f"fixes are {interval:g} s apart, more than --max-gap {max_gap_s:g} s: targets are absent most of the time"
+            f"fixes are {interval:g} s apart, more than max_gap {max_gap_s:g} s: targets are absent most of the time"
         )
     motion = scenario.problem().motion
     if motion.state_size == scenario.dimension:

@@ -2,18 +2,21 @@
 
 A recording is a CSV file with the header `time_s,track_id,x_m,y_m[,z_m]`. Each row is a *fix*: the position of one
 target at one time. Rows are sorted by time; the clock may be irregular, and targets come and go. All positions are in
-the world frame [m], all times in seconds of the recording's own clock.
+the world frame [m], all times in seconds of the recording's own clock, less its origin.
 """
 
 import heapq
 from dataclasses import dataclass, replace
 from math import floor, isfinite
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from foveate.errors import InputError
+from foveate.recordings.clock import SINCE_1970
+from foveate.recordings.sampling import Piece, sample
+from foveate.scenario.origin import OriginSettings
 
 MAX_CELLS = 20_000_000  # instants x tracks of one sampled array: about 0.5 GB in space
 
@@ -35,7 +38,18 @@ class Recording:
     dimension: int
     tracks: tuple[Track, ...]
     sha256: str = ""
-    """Digest of the file, in hex; empty for a recording made in memory."""
+    """Digest of the file, in hex; empty for a recording made in memory. Of several files, that of their digests."""
+    clock_origin_s: int = 0
+    """Seconds of the recording's own clock at time 0: subtracted from a clock that counts from 1970."""
+    origin: OriginSettings | None = None
+    """Place of the local coordinates on the map that the file was in; None for those of the file."""
+    notes: tuple[str, ...] = ()
+    """What its reader took for granted, a line each."""
+
+    @property
+    def short_name(self) -> str:
+        """Names of the files, without their folders."""
+        return ", ".join(Path(part).name for part in self.name.split(", "))
 
     @property
     def start_s(self) -> float:
@@ -71,21 +85,14 @@ class Slots:
     dropped: int
 
 
-class _Piece(NamedTuple):
-    """One track at the instants that its fixes span, from instant `first` on."""
-
-    first: int
-    present: np.ndarray
-    positions_m: np.ndarray
-
-
 def window(recording: Recording, start_s: float | None = None, end_s: float | None = None) -> Recording:
     """Cut a recording to the fixes with start_s <= time <= end_s; None leaves that side open.
 
-    The result starts at its own first fix, which may be later than `start_s`. Raises InputError where no fix is left.
+    Times are those of the recording's clock; where it counts from 1970, small ones count from its origin. The result
+    starts at its own first fix, which may be later than `start_s`. Raises InputError where no fix is left.
     """
-    lower = -np.inf if start_s is None else start_s
-    upper = np.inf if end_s is None else end_s
+    lower = -np.inf if start_s is None else _after_origin(recording, start_s)
+    upper = np.inf if end_s is None else _after_origin(recording, end_s)
     kept = []
     for track in recording.tracks:
         inside = (track.times_s >= lower) & (track.times_s <= upper)
@@ -97,6 +104,21 @@ def window(recording: Recording, start_s: float | None = None, end_s: float | No
             f"the recording spans {recording.start_s:.10g} s to {recording.end_s:.10g} s"
         )
     return replace(recording, tracks=tuple(kept))
+
+
+def _after_origin(recording: Recording, time_s: float) -> float:
+    return time_s - recording.clock_origin_s if recording.clock_origin_s and time_s >= SINCE_1970 else time_s
+
+
+def moved(recording: Recording, origin: OriginSettings | None) -> Recording:
+    """Move a recording that was on a map to local coordinates about another origin; others stay as they are."""
+    if origin is None or recording.origin is None or origin == recording.origin:
+        return recording
+    if origin.in_degrees != recording.origin.in_degrees:
+        raise InputError(f"{recording.name}: is on a map with origin {recording.origin}, the scenario at {origin}")
+    here = recording.origin
+    tracks = [replace(t, positions_m=origin.local(here.on_map(t.positions_m))) for t in recording.tracks]
+    return replace(recording, tracks=tuple(tracks), origin=origin)
 
 
 def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slots:
@@ -143,7 +165,7 @@ def resample(recording: Recording, tau_s: float, max_gap_s: float = 2.0) -> Slot
 
 def _sampled_tracks(
     recording: Recording, tau_s: float, max_gap_s: float
-) -> tuple[np.ndarray, list[Track], list[_Piece]]:
+) -> tuple[np.ndarray, list[Track], list[Piece]]:
     """Return the instants, the tracks that are present at any of them, and these tracks sampled."""
     for name, value in (("tau_s", tau_s), ("max_gap_s", max_gap_s)):
         if not (isfinite(value) and value > 0):
@@ -154,7 +176,8 @@ def _sampled_tracks(
         raise InputError(f"{recording.name}: spans {span_s:g} s; it must span one step of {tau_s:g} s at least")
     _check_size(recording.name, steps + 1, 1)
     times = start_s + tau_s * np.arange(steps + 1)
-    pieces = [_sample(track, times, tau_s, max_gap_s) for track in recording.tracks]
+    fixes = [(track.times_s, track.positions_m) for track in recording.tracks]
+    pieces = sample(fixes, times, tau_s, max_gap_s)
     kept = [i for i, piece in enumerate(pieces) if piece.present.any()]
     return times, [recording.tracks[i] for i in kept], [pieces[i] for i in kept]
 
@@ -165,26 +188,6 @@ def _check_size(name: str, steps: int, columns: int) -> None:
             f"{name}: {steps} instants x {columns} columns to sample; at most {MAX_CELLS} in all are possible: "
             "cut the recording in time, choose a longer tau_s, or look for wrong times in it"
         )
-
-
-def _sample(track: Track, times: np.ndarray, tau_s: float, max_gap_s: float) -> _Piece:
-    """Sample one track at the instants that its fixes span."""
-    fixes, last = track.times_s, len(track.times_s) - 1
-    # The resolution of a clock of this magnitude: 3 * 0.1 is not 0.3, and Unix time is accurate to 0.2 us.
-    tolerance = 1e-6 * tau_s + 4 * np.spacing(np.abs(times[[0, -1]]).max())
-    first = int(np.searchsorted(times, fixes[0] - tolerance, "left"))
-    stop = int(np.searchsorted(times, fixes[-1] + tolerance, "right"))
-    instants = np.clip(times[first:stop], fixes[0], fixes[-1])
-    after = np.clip(np.searchsorted(fixes, instants, "right"), min(1, last), last)
-    before = np.maximum(after - 1, 0)
-    gap = fixes[after] - fixes[before]
-    # A track of one fix has no gap to divide by: the fixes before and after an instant are the same.
-    fraction = (instants - fixes[before]) / np.where(gap > 0, gap, 1.0)
-    bridged = gap <= max_gap_s + tolerance
-    on_fix = np.minimum(instants - fixes[before], fixes[after] - instants) <= tolerance
-    fraction = np.where(bridged, fraction, np.round(fraction))[:, None]
-    start = track.positions_m[before]
-    return _Piece(first, bridged | on_fix, start + fraction * (track.positions_m[after] - start))
 
 
 def _colour(lives: list[list[int]]) -> tuple[list[int], int]:

@@ -17,11 +17,12 @@ from foveate.experiment.experiment import Experiment
 from foveate.io.provenance import provenance
 from foveate.io.toml import digest
 from foveate.models.gate import gate_limit
+from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.names import GATE
 from foveate.recordings.recording import Recording, Slots, resample
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.episodes import first_error
+from foveate.simulation.episodes import first_error, first_mean
 from foveate.simulation.records import TRUE, Arrivals, Episode, Policy, Protocol, Trace, Truth
 from foveate.simulation.rollout import rollout
 
@@ -97,24 +98,25 @@ def prepare_replay(
     problem = scenario.problem()
     _check(scenario, problem, recording)
     slots = resample(recording, float(scenario.tau_s), float(max_gap_s))
+    warn_of_rounding(problem, int(np.bincount(slots.track_index[slots.present]).max()))
     truth = _states(problem, slots)
     steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
     rng = np.random.default_rng([seed, 0x7265706C])  # independent of the streams that evaluations draw from a seed
     error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((steps + 1, n, n_y)), float))
     state, present = jnp.asarray(truth, float), jnp.asarray(slots.present)
-    noise = jnp.asarray(rng.standard_normal((steps, n, len(problem.sensor.H))), float)
-    first_mean = state + error
+    noise = jnp.asarray(rng.standard_normal((steps, n, problem.sensor.size)), float)
+    means = first_mean(problem, scenario.scenes, state + error, newcomer=True)
     episode = Episode(
         pose=problem.agent.space.from_numbers(agent_start),
-        mean=first_mean[0],
+        mean=means[0],
         present=present[0],
         inputs=jnp.zeros((steps, n, problem.motion.input_size)),
         horizon=jnp.asarray(steps),
         truth=Truth(state=state, measurement_noise=noise),
-        arrivals=Arrivals(present=present, mean=first_mean),
+        arrivals=Arrivals(present=present, mean=means),
     )
     return PreparedReplay(
-        protocol=TRUE._replace(gate=gate_limit(gate, len(problem.sensor.H))),
+        protocol=TRUE._replace(gate=gate_limit(gate, problem.sensor.size)),
         problem=problem,
         slots=slots,
         episode=episode,
@@ -138,11 +140,19 @@ def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
     # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
     far_m = float(np.abs(np.stack(recording.extent)).max())
     rounding_m = np.spacing(np.float32(far_m))
-    if rounding_m > MAX_ROUNDING * scenario.sensor.std_m:
+    if rounding_m > MAX_ROUNDING * _std_m(scenario, problem):
         raise InputError(
             f"{recording.name}: positions up to {far_m:g} m from the origin, where float32 resolves only "
             f"{rounding_m:.2g} m: subtract a common origin from them"
         )
+
+
+def _std_m(scenario: Scenario, problem: Problem) -> float:
+    """Standard deviation of a measured position; the smallest, in the middle of the view, of other coordinates."""
+    if problem.sensor.polar is None:
+        return scenario.sensor.std_m
+    ahead = 0.5 * float(scenario.view.depth_m) * np.eye(scenario.dimension)[0]
+    return float(np.sqrt(np.linalg.eigvalsh(np.asarray(problem.sensor.equivalent(jnp.asarray(ahead, float))))[0]))
 
 
 def _states(problem: Problem, slots: Slots) -> np.ndarray:
@@ -201,23 +211,6 @@ def _row(ready: PreparedReplay, method: str, trace: Trace, step_time_s: float) -
         rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
         step_time_s=step_time_s,
     )
-
-
-def default_agent_start(recording: Recording, scenario: Scenario) -> list[float]:
-    """Start in the middle of the recording's extent, heading along x."""
-    lower, upper = recording.extent
-    return _upright(scenario, (lower + upper) / 2, 0.0)
-
-
-def random_agent_starts(recording: Recording, scenario: Scenario, count: int, seed: int) -> list[list[float]]:
-    """Draw starts uniform in the recording's extent, with any heading."""
-    rng = np.random.default_rng([seed, count])
-    return [_upright(scenario, rng.uniform(*recording.extent), rng.uniform(-np.pi, np.pi)) for _ in range(count)]
-
-
-def _upright(scenario: Scenario, position_world: np.ndarray, yaw: float) -> list[float]:
-    space = scenario.agent.agent().space
-    return space.to_numbers(space.upright(jnp.asarray(position_world, float), jnp.asarray(yaw)))
 
 
 def result(

@@ -7,46 +7,27 @@ from jaxtyping import Float
 
 from foveate.recordings.recording import Track
 
-_SPIKE_STEPS = 10.0  # times the median step around it
-_SPIKE_DETOUR = 3.0  # times the step that skips the fix
-_SPIKE_NEIGHBOURS = 5  # steps on each side
-_MIN_STEP_M = 1e-3  # below what any tracker resolves: a target that stands still has a median step of zero
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Velocities:
     """Mean velocities [m/s] over pairs of fixes of all tracks, and the spans [s] of these pairs.
 
+    `weight` is the time to the next fix [s], so that tracks count by their time, whatever their clocks.
     Each row of `turns` holds the indices of two pairs of which the second starts where the first ends.
     """
 
     velocity: Float[np.ndarray, "pairs d"]
     dt: Float[np.ndarray, " pairs"]
+    weight: Float[np.ndarray, " pairs"]
     turns: np.ndarray
-
-
-def without_spikes(track: Track) -> Track:
-    """Leave out fixes that are *out and back*: both steps far above the median around them, and the direct step."""
-    steps = np.linalg.norm(np.diff(track.positions_m, axis=0), axis=1)
-    if len(steps) < 2:
-        return track
-    # Reflected at the ends, so that the first and last steps have as many neighbours as the others.
-    padded = np.pad(steps, _SPIKE_NEIGHBOURS, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _SPIKE_NEIGHBOURS + 1)
-    typical = np.median(windows, axis=1)
-    skipping = np.linalg.norm(track.positions_m[2:] - track.positions_m[:-2], axis=1)
-    shorter = np.minimum(steps[:-1], steps[1:])
-    usual_step = np.maximum(np.maximum(typical[:-1], typical[1:]), _MIN_STEP_M)
-    spike = (shorter > _SPIKE_STEPS * usual_step) & (shorter > _SPIKE_DETOUR * skipping)
-    kept = np.concatenate([[True], ~spike, [True]])
-    return Track(track_id=track.track_id, times_s=track.times_s[kept], positions_m=track.positions_m[kept])
 
 
 def velocities(tracks: list[Track], spacing_s: float, max_gap_s: float) -> Velocities:
     """Mean velocities over pairs of fixes about `spacing_s` apart, without a gap over `max_gap_s` between them."""
-    velocity, dt, turns, offset = [], [], [], 0
+    velocity, dt, weight, turns, offset = [], [], [], [], 0
     for track in tracks:
         start, end = _pairs(track.times_s, spacing_s, max_gap_s)
+        weight.append(np.diff(track.times_s)[start])
         span = track.times_s[end] - track.times_s[start]
         velocity.append((track.positions_m[end] - track.positions_m[start]) / span[:, None])
         dt.append(span)
@@ -56,7 +37,23 @@ def velocities(tracks: list[Track], spacing_s: float, max_gap_s: float) -> Veloc
         first = np.flatnonzero(next_pair >= 0)
         turns.append(offset + np.stack([first, next_pair[first]], axis=1))
         offset += len(start)
-    return Velocities(velocity=np.concatenate(velocity), dt=np.concatenate(dt), turns=np.concatenate(turns))
+    return Velocities(
+        velocity=np.concatenate(velocity),
+        dt=np.concatenate(dt),
+        weight=np.concatenate(weight),
+        turns=np.concatenate(turns),
+    )
+
+
+def joined(parts: list[Velocities]) -> Velocities:
+    """Pairs of several groups of tracks."""
+    offsets = np.cumsum([0, *(len(part.dt) for part in parts[:-1])])
+    return Velocities(
+        velocity=np.concatenate([part.velocity for part in parts]),
+        dt=np.concatenate([part.dt for part in parts]),
+        weight=np.concatenate([part.weight for part in parts]),
+        turns=np.concatenate([part.turns + offset for part, offset in zip(parts, offsets, strict=True)]),
+    )
 
 
 def _pairs(times: np.ndarray, spacing_s: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:

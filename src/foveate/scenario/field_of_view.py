@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from foveate.geometry import fov, fov_planar, fov_spatial
+from foveate.io.settings import Settings, tag
 from foveate.io.validate import positive, require
 
 
@@ -19,7 +20,7 @@ def _range(near: float, far: float, far_name: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TriangleView:
+class TriangleView(Settings):
     """A triangle with its apex at the agent, opening ahead."""
 
     shape: Literal["triangle"] = "triangle"
@@ -29,6 +30,7 @@ class TriangleView:
     """Full angle at the agent, below 180."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         positive(self, "depth_m")
         _angle(self, "angle_deg", 180.0)
 
@@ -38,7 +40,7 @@ class TriangleView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SectorView:
+class SectorView(Settings):
     """A circular sector with its apex at the agent, opening ahead."""
 
     shape: Literal["sector"] = "sector"
@@ -48,6 +50,7 @@ class SectorView:
     """Full angle, up to 360."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         positive(self, "depth_m")
         _angle(self, "angle_deg", 360.0, up_to=True)
 
@@ -57,14 +60,15 @@ class SectorView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolygonView:
+class PolygonView(Settings):
     """A convex polygon."""
 
-    shape: Literal["polygon"]
+    shape: Literal["polygon"] = tag("polygon")
     vertices_m: tuple[tuple[float, float], ...]
     """Corners [x, y], in order."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         fov_planar.polygon(self.vertices_m)
 
     @property
@@ -78,16 +82,17 @@ class PolygonView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BallView:
+class BallView(Settings):
     """A disc or ball, of a sensor with limited range in all directions."""
 
-    shape: Literal["ball"]
+    shape: Literal["ball"] = tag("ball")
     radius_m: float
     """Range of the sensor."""
     center_m: tuple[float, ...]
     """Centre in the body frame; two coordinates for a disc, three for a ball."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         positive(self, "radius_m")
         require(len(self.center_m) in (2, 3), "center_m", self.center_m, "expected 2 or 3 numbers")
 
@@ -102,10 +107,10 @@ class BallView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrustumView:
+class FrustumView(Settings):
     """The view of a camera that looks ahead, between planes at `near_m` and `depth_m`."""
 
-    shape: Literal["frustum"]
+    shape: Literal["frustum"] = tag("frustum")
     near_m: float = 0.3
     depth_m: float = 6.0
     width_deg: float = 90.0
@@ -114,6 +119,7 @@ class FrustumView:
     """Full angle up and down."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _range(self.near_m, self.depth_m, "depth_m")
         _angle(self, "width_deg", 180.0)
         _angle(self, "height_deg", 180.0)
@@ -125,16 +131,17 @@ class FrustumView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConeView:
+class ConeView(Settings):
     """A cone ahead between slant ranges `near_m` and `depth_m`: a radar, a lidar, a searchlight."""
 
-    shape: Literal["cone"]
+    shape: Literal["cone"] = tag("cone")
     near_m: float = 0.0
     depth_m: float = 6.0
     angle_deg: float = 60.0
     """Full angle, up to 360."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _range(self.near_m, self.depth_m, "depth_m")
         _angle(self, "angle_deg", 360.0, up_to=True)
 
@@ -144,10 +151,10 @@ class ConeView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PrismView:
+class PrismView(Settings):
     """A planar shape, unbounded upwards and downwards: a planar sensor in space."""
 
-    shape: Literal["prism"]
+    shape: Literal["prism"] = tag("prism")
     base: TriangleView | SectorView | PolygonView
 
     @property

@@ -7,39 +7,60 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from foveate.errors import InputError
 from foveate.geometry.space import SPACES
+from foveate.io.settings import Settings
 from foveate.io.validate import Matrix, matrix, positive, representable, require
+from foveate.models.obstacles import Obstacles
 from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.scenario.agent import AgentSettings, DifferentialDrive
 from foveate.scenario.field_of_view import TriangleView, ViewSettings
+from foveate.scenario.origin import OriginSettings
+from foveate.scenario.random_obstacles import ObstacleSettings
+from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings, SensorSettings
+from foveate.scenario.starts import start_box
 from foveate.scenario.target import DriftTarget, TargetSettings, require_predictable
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """Checked settings of agent, field of view, sensor, targets and scenes, with `tau_s` [s] between decisions."""
+class Scenario(Settings):
+    """Checked settings of agent, field of view, sensor, targets and scenes, with `tau_s` [s] between decisions.
+
+    With `keep_off_m` the agent does not come nearer to a target than this: its way ends there for the rest of the step,
+    though it turns as commanded; if a target comes nearer by itself, the agent may only move away.
+    """
 
     tau_s: float = 1.0
+    keep_off_m: float | None = None
     agent: AgentSettings = field(default_factory=DifferentialDrive)
     view: ViewSettings = field(default_factory=TriangleView)
     sensor: SensorSettings = field(default_factory=SensorSettings)
     target: TargetSettings = field(default_factory=DriftTarget)
     scenes: SceneSettings = field(default_factory=SceneSettings)
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
+    region: RegionSettings | None = None
+    origin: OriginSettings | None = None
+    obstacles: ObstacleSettings | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         positive(self, "tau_s")
+        require(self.keep_off_m is None or self.keep_off_m > 0, "keep_off_m", self.keep_off_m, "expected > 0")
         representable(self)
         d = self.dimension
         is_view_of_space = self.view.view().dimension == d
         require(is_view_of_space, "view.shape", self.view.shape, f"expected a shape in {d} dimensions, as the agent's")
         require(len(self.scenes.centre_m) == d, "scenes.centre_m", self.scenes.centre_m, f"expected {d} numbers")
+        on_map = () if self.origin is None else self.origin.position_m
+        require(len(on_map) in (0, d), "origin.position_m", on_map, f"expected {d} numbers")
         self._check_matrices()
         problem = self.problem()
+        self._check_region(problem)
+        self._check_obstacles(problem)
         for W in self.schedule.W:
             for tau in self.schedule.tau_s or (self.tau_s,):
                 require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
@@ -49,13 +70,19 @@ class Scenario:
         # The paper's initial mean errs by N(0, V) in the world frame, before any pose: V must be the same for all.
         V = np.asarray(problem.period.V[0])
         turns = self.sensor.frame == "body" and not np.array_equal(V, V[0, 0] * np.eye(len(V)))
+        turns = turns or self.sensor.measures is not None
         right = "expected 'consistent': an initial error from N(0, V) is not defined where V turns with the agent"
-        error = self.scenes.initial_error
-        require(not (turns and error == "paper"), "scenes.initial_error", error, right)
+        error, std = self.scenes.initial_error, self.scenes.first_error_std
+        require(not (turns and error == "paper") or bool(std), "scenes.initial_error", error, right)
+        blocks = problem.motion.state_size // d if problem.motion.begins_with_position else 0
+        right = f"expected {blocks} numbers, one per block of the state (position, velocity, ..)"
+        right = right if blocks else "expected none: the targets' state does not begin with their position (Z = [I 0])"
+        require(not std or len(std) == blocks, "scenes.first_error_std", std, right)
 
     def _check_matrices(self) -> None:
         """Raise InputError unless H, V and W fit the targets' state and each other."""
         sensor, d = self.sensor, self.dimension
+        sensor.require_dimension(d)
         A, _, _, Z = self.target.motion(d, self.tau_s)
         (rows, columns), n_y = self._observation(Z).shape, len(A)
         of_state = "the length of a target's state"
@@ -63,10 +90,47 @@ class Scenario:
         require(rows <= n_y, "sensor.H", sensor.H, f"expected at most {n_y} rows, {of_state}")
         right = f"expected 'world', or a sensor.H of {d} rows that measures positions"
         require(sensor.frame == "world" or rows == d, "sensor.frame", sensor.frame, right)
+        rows = len(sensor.coordinates) or rows
         for name, V in [*(("schedule.V", V) for V in self.schedule.V), ("sensor.V", sensor.V)]:
             require(V is None or len(V) == rows, name, V, f"expected {rows} x {rows}, a row per measured number")
         for W in self.schedule.W:
             require(len(W) == n_y, "schedule.W", W, f"expected {n_y} x {n_y}, {of_state}")
+
+    def _check_region(self, problem: Problem) -> None:
+        """Raise InputError unless agent and targets can keep the region's borders."""
+        region, d = self.region, self.dimension
+        if region is None:
+            return
+        require(len(region.low_m) == d, "region.low_m", region.low_m, f"expected {d} numbers, one per axis")
+        if region.targets == "free":
+            return
+        name, value = "region.targets", region.targets
+        right = "expected 'free': these targets have no position at a border (Z = [I 0])"
+        require(problem.motion.begins_with_position, name, value, right)
+        right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
+        require(not self.scenes.birth_and_death, name, value, right)
+
+    def _check_obstacles(self, problem: Problem) -> None:
+        """Raise InputError unless the obstacles are for this space, and targets can go around them."""
+        obstacles = self.obstacles
+        if obstacles is None or obstacles.targets == "free":
+            return
+        right = "expected 'free': these targets have no position at an obstacle (Z = [I 0])"
+        require(problem.motion.begins_with_position, "obstacles.targets", "around", right)
+        right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
+        require(not self.scenes.birth_and_death, "obstacles.targets", "around", right)
+
+    def _obstacles(self) -> Obstacles | None:
+        """Obstacles as arrays, on grids that hold the starts of agent and targets."""
+        if self.obstacles is None:
+            return None
+        fits = self.obstacles.dimension == self.dimension
+        right = f"expected obstacles in {self.dimension} dimensions, as the agent's"
+        require(fits, "obstacles.kind", self.obstacles.kind, right)
+        try:
+            return self.obstacles.obstacles(start_box(self.scenes, self.region), float(self.view.depth_m))
+        except InputError as error:
+            raise InputError(f"obstacles.{error}") from error
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
         """H (rows, n_y), by default that of the position."""
@@ -80,14 +144,15 @@ class Scenario:
     def problem(self) -> Problem:
         """The scenario as arrays, for simulation."""
         H = self._observation(self.target.motion(self.dimension, self.tau_s)[-1])
-        V = self.sensor.std_m**2 * np.eye(len(H)) if self.sensor.V is None else np.array(self.sensor.V)
+        V = self.sensor.noise(len(H))
         sensor = Sensor(
             H=_array(H),
             V=_array(V),
             view=self.view.view(),
-            range_growth=self.sensor.range_growth_per_m,
+            range_growth=0.0 if self.sensor.measures else self.sensor.range_growth_per_m,
             frame=self.sensor.frame,
             uses_missed_detections=self.sensor.missed_detections == "used",
+            polar=self.sensor.polar,
         )
         return Problem(
             agent=self.agent.agent(),
@@ -96,6 +161,9 @@ class Scenario:
             tau=_array(self.tau_s),
             prior_information=_array(np.linalg.inv(self.target.prior_covariance(self.dimension))),
             schedule=self._schedule(V),
+            region=None if self.region is None else self.region.region(),
+            keep_off_m=None if self.keep_off_m is None else _array(self.keep_off_m),
+            obstacles=self._obstacles(),
         )
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:

@@ -12,24 +12,26 @@ import numpy as np
 from foveate.errors import InputError
 from foveate.geometry.space import Space
 from foveate.io.files import content_digest, read_document, write_document
+from foveate.io.settings import Settings
 from foveate.io.validate import at_least, require
-from foveate.names import InitialError
+from foveate.names import FirstVelocity, InitialError
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSettings:
+class SceneSettings(Settings):
     """Distribution of training scenes, and settings of an episode.
 
     Targets: n uniform on `targets_min` .. `targets_max` (a policy takes any number), positions uniform in a box about
     `centre_m` with half side `half_side_m` + n `half_side_per_target_m`. Agent: uniform in `agent_spread` times that
-    box in training, within `agent_test_half_side_m` of the centre in test scenes, any heading. Drift: uniform in
-    [-d, d] on each axis, d = `drift_m_s`, one for all targets of a scene (`shared_drift`) or each its own. Targets that
-    are positions driven by an input get a new jitter, uniform in [-j, j], j = `jitter_m_s`, added at each step; for
-    other kinds the drift is the first velocity. `known_drift`: the agent knows these inputs (the paper: yes).
-    `process_noise`: targets also move by N(0, W). `birth_and_death`: in training, a target that leaves the box is
-    replaced by a new one that enters on the opposite side. Horizon: `steps`, or `steps_per_target` n. `initial_error`
-    of the initial mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief claims), or sampled
-    from the initial belief ("consistent").
+    box in training, within `agent_test_half_side_m` of the centre in test scenes, any heading. With `target_ring_m`,
+    `agent_centre_m` or `agent_half_side_m` test scenes are drawn as those of training. Drift: uniform in [-d, d] on
+    each axis, d = `drift_m_s`, one for all targets of a scene (`shared_drift`) or each its own. Targets that are
+    positions driven by an input get a new jitter, uniform in [-j, j], j = `jitter_m_s`, added at each step; for other
+    kinds the drift is the first velocity: at rest where it is 0. `known_drift`: the agent knows these inputs (the
+    paper: yes). `process_noise`: targets also move by N(0, W). `birth_and_death`: in training, a target that leaves the
+    box is replaced by a new one that enters on the opposite side. Horizon: `steps`, or `steps_per_target` n.
+    `initial_error` of the initial mean: N(0, V), V of the first step at range 0 ("paper": smaller than the belief
+    claims), or sampled from the initial belief ("consistent").
     """
 
     RENAMED: ClassVar[dict[str, str]] = {"turnover": "birth_and_death"}
@@ -49,8 +51,24 @@ class SceneSettings:
     steps_per_target: int = 3
     steps: int | None = None
     initial_error: InitialError = "paper"
+    first_error_std: tuple[float, ...] | None = None
+    """Standard deviation of the error of a first mean, whatever the initial belief claims: a number for each block of
+    the state (position [m], velocity [m/s], acceleration [m/s^2]), for all axes. It replaces `initial_error`, which
+    then stays at its default."""
+    first_mean_velocity: FirstVelocity | None = None
+    """Mean velocity (and acceleration) of a new belief: `"zero"`, or `"truth"` with its error. Left out: 0 for targets
+    that appear later and for all in a replay, as a tracker begins; the truth with its error at the start of an episode.
+    """
+    target_ring_m: tuple[float, float] | None = None
+    """Inner and outer radius of a ring about the agent on which targets start, uniform in angle and in radius, in place
+    of the box; in space the ring is horizontal, and heights are those of the box."""
+    agent_centre_m: tuple[float, ...] | None = None
+    """Centre of the box in which the agent starts. Left out: `centre_m`."""
+    agent_half_side_m: tuple[float, ...] | None = None
+    """Half side of the box in which the agent starts. Left out: `agent_spread` times that of the targets' box."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         at_least(1, self, "targets_min", "steps_per_target", "steps")
         right = f"expected >= targets_min {self.targets_min}"
         require(self.targets_max >= self.targets_min, "targets_max", self.targets_max, right)
@@ -60,8 +78,33 @@ class SceneSettings:
         require(min(drift, default=-1) >= 0, "drift_m_s", drift, "expected >= 0 per axis")
         for name, numbers in (("centre_m", self.centre_m), ("drift_m_s", drift)):
             require(len(numbers) == len(half_side), name, numbers, "expected one number per axis, as half_side_m has")
+        self._check_starts()
+        std = self.first_error_std or ()
+        require(min(std, default=0) >= 0, "first_error_std", std, "expected >= 0 per block of the state")
+        right = "expected 'paper', the default, with first_error_std: both set the error of the first means"
+        require(not std or self.initial_error == "paper", "initial_error", self.initial_error, right)
+        is_used = self.first_mean_velocity != "zero" or not any(std[1:])
+        require(is_used, "first_error_std", std, "expected 0 after the first with first_mean_velocity = 'zero'")
         has_extent = min(half_side) + self.half_side_per_target_m > 0
         require(not self.birth_and_death or has_extent, "half_side_m", half_side, "expected > 0 with birth_and_death")
+
+    def _check_starts(self) -> None:
+        centre, side, axes = self.agent_centre_m, self.agent_half_side_m, len(self.half_side_m)
+        for name, numbers in (("agent_centre_m", centre), ("agent_half_side_m", side)):
+            fits = numbers is None or len(numbers) == axes
+            require(fits, name, numbers, "expected one number per axis, as half_side_m has")
+        require(side is None or min(side) >= 0, "agent_half_side_m", side, "expected >= 0 per axis")
+        if self.target_ring_m is not None:
+            inner, outer = self.target_ring_m
+            right = "expected radii 0 <= inner <= outer, outer > 0"
+            require(0 <= inner <= outer and outer > 0, "target_ring_m", self.target_ring_m, right)
+            right = "expected false with target_ring_m: targets that leave the box come back into it"
+            require(not self.birth_and_death, "birth_and_death", True, right)
+
+    @property
+    def has_own_starts(self) -> bool:
+        """True if the starts are set apart from the targets' box: test scenes then have those of training."""
+        return any(key is not None for key in (self.target_ring_m, self.agent_centre_m, self.agent_half_side_m))
 
     def horizon(self, targets: int) -> int:
         """Steps of an episode with this number of targets."""
@@ -87,13 +130,21 @@ MAX_LENGTH = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A scene as in a scenes file: lengths in metres, drift in m/s, a row per target."""
+    """A scene as in a scenes file: lengths in metres, drift in m/s, a row per target.
+
+    Without `drift` targets have none; a `horizon` of 0 steps is that of the scenario; `map` is the number of its map.
+    """
 
     id: str
     agent: tuple[float, ...]
     targets: tuple[tuple[float, ...], ...]
-    drift: tuple[tuple[float, ...], ...]
-    horizon: int
+    drift: tuple[tuple[float, ...], ...] = ()
+    horizon: int = 0
+    map: int = 0
+
+    def record(self) -> dict[str, Any]:
+        """All fields as plain values, without the first map's number, as without obstacles."""
+        return {name: value for name, value in asdict(self).items() if name != "map" or value}
 
     @property
     def motion(self) -> str:
@@ -108,19 +159,25 @@ def write_scenes(path: Path, scenes: Sequence[Scene]) -> None:
         path: File to write.
         scenes: Scenes, each with its own id.
     """
-    write_document(path, "scenes", VERSION, {"scenes": [asdict(scene) for scene in scenes]})
+    write_document(path, "scenes", VERSION, {"scenes": [_given(scene) for scene in scenes]})
 
 
 def scenes_digest(scenes: Sequence[Scene]) -> str:
     """Digest of the scenes' content, 16 hex digits."""
-    return content_digest([asdict(scene) for scene in scenes])[:16]
+    return content_digest([scene.record() for scene in scenes])[:16]
 
 
 def checked(scenes: Sequence[Scene], space: Space, settings: SceneSettings) -> list[Scene]:
     """Check scenes of an agent in `space`. Raises as `read_scenes`."""
     # Through JSON, so that scenes made in Python, perhaps of arrays, pass the same checks as those in files.
-    rows = json.dumps([asdict(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
+    rows = json.dumps([_given(scene) for scene in scenes], default=lambda array: np.asarray(array).tolist())
     return _scenes(json.loads(rows), "scenes", space, settings)
+
+
+def _given(scene: Scene) -> dict[str, Any]:
+    """Fields of a scene, without a drift and a horizon that were left out."""
+    is_left_out = {"drift": len(scene.targets) > 0 == len(scene.drift), "horizon": scene.horizon == 0}
+    return {name: value for name, value in scene.record().items() if not is_left_out.get(name, False)}
 
 
 def read_scenes(path: Path, space: Space, settings: SceneSettings) -> list[Scene]:
@@ -152,13 +209,13 @@ def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> lis
 def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene:
     if not isinstance(row, dict):
         raise InputError(f"{where}: expected an object with id, agent, targets")
-    names = ("id", "agent", "targets", "drift", "horizon")
+    names = ("id", "agent", "targets", "drift", "horizon", "map")
     if missing := [name for name in names[:3] if name not in row]:
         raise InputError(f"{where}: no {missing[0]!r}: expected id, agent and targets")
     if unknown := sorted(set(row) - set(names)):
         raise InputError(f"{where}: unknown key {unknown[0]!r}: expected {', '.join(names)}")
-    is_text = isinstance(row["id"], str) and row["id"] != ""
-    require(is_text, f"{where}: id", row["id"], "expected a non-empty text")
+    is_text = isinstance(row["id"], str) and row["id"] != "" and row["id"] == row["id"].encode(errors="ignore").decode()
+    require(is_text, f"{where}: id", row["id"], "expected a non-empty text of whole characters")
     where = f"{where} ({row['id']!r})"
     agent = _row(row["agent"], f"{where}: agent", None)
     try:
@@ -174,7 +231,9 @@ def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene
     horizon = row.get("horizon", settings.horizon(len(targets)))
     fits = type(horizon) is int and 1 <= horizon <= MAX_HORIZON
     require(fits, f"{where}: horizon", horizon, f"expected a whole number from 1 to {MAX_HORIZON}")
-    return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon)
+    number = row.get("map", 0)
+    require(type(number) is int and number >= 0, f"{where}: map", number, "expected a whole number >= 0")
+    return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon, map=number)
 
 
 def _rows(value: Any, where: str, width: int) -> tuple[tuple[float, ...], ...]:

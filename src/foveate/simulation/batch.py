@@ -42,7 +42,7 @@ class CompiledEnvironments:
     def __init__(self, environment: Environment, features: FeaturesFunction, count: int) -> None:
         def observe(states: EnvironmentState) -> PyTree:
             left = 1.0 - states.predicted.step / states.episode.horizon
-            return jax.vmap(features)(jax.vmap(observation)(states), left)
+            return jax.vmap(features)(jax.vmap(observation, (None, 0))(environment, states), left)
 
         def advance(states, actions):
             after, made = jax.vmap(step, (None, 0, 0))(environment, states, actions)
@@ -99,9 +99,31 @@ class Batch:
             observed, next_score = self.renew(self.states.key, done)
         return Steps(observed, final, reward, done, score, next_score, length)
 
+    def packed(self) -> list[np.ndarray] | None:
+        """Current states as arrays that can be pickled; None before the first episodes."""
+        return None if self.states is None else [np.asarray(_plain(x)) for x in jax.tree.leaves(self.states)]
+
+    def unpack(self, states: list[np.ndarray] | None) -> None:
+        """Continue from packed states."""
+        if states is not None:
+            shapes, structure = jax.tree.flatten(self.programs.states)
+            leaves = [
+                jax.random.wrap_key_data(jnp.asarray(x)) if _is_key(shape) else jnp.asarray(x)
+                for x, shape in zip(states, shapes, strict=True)
+            ]
+            self.states = jax.tree.unflatten(structure, leaves)
+
+
+def _is_key(x: jax.Array | jax.ShapeDtypeStruct) -> bool:
+    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+
+
+def _plain(x: jax.Array) -> jax.Array:
+    return jax.random.key_data(x) if _is_key(x) else x
+
 
 def _blank(shape: jax.ShapeDtypeStruct) -> jax.Array:
-    if jnp.issubdtype(shape.dtype, jax.dtypes.prng_key):
+    if _is_key(shape):
         return jax.random.split(jax.random.key(0), shape.shape)
     return jnp.zeros(shape.shape, shape.dtype)
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
+from foveate.models.robot import Robot
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import Episode, Observation, Protocol, State, observe, per_target
@@ -23,10 +24,14 @@ RESETS_PER_CHUNK = 64
 
 
 class Environment(eqx.Module):
-    """Problem, distribution of episodes, and protocol of an environment.
+    """An environment as pure functions of keys, states and actions, to be jitted, vmapped and differentiated.
 
-    With `noise` episodes have a truth: process noise and noisy measurements. Without it they are the noise-free ones of
-    the paper's training, and a protocol that needs the truth raises InputError.
+        state, seen = environment.reset(key)
+        state, made = environment.step(state, action)
+
+    It holds the problem, the distribution of episodes, and the protocol. With `noise` episodes have a truth: process
+    noise and noisy measurements. Without it they are the noise-free ones of the paper's training, and a protocol that
+    needs the truth raises InputError.
     """
 
     problem: Problem
@@ -37,6 +42,29 @@ class Environment(eqx.Module):
     def __check_init__(self) -> None:
         if not self.noise and (not self.protocol.levels or self.protocol.at_truth):
             raise InputError("noise = False: expected True with a protocol that asks where targets really are")
+
+    # By identity: arrays have no hash, by which `jax.jit(environment.step)` knows a function.
+    __hash__ = object.__hash__
+    __eq__ = object.__eq__
+
+    def reset(self, key: Key, targets: Count | None = None) -> tuple["EnvironmentState", Observation]:
+        """Begin a new episode of the training distribution: its state, and the observation of a policy.
+
+        Args:
+            key: Random key of the episode, and of those after it.
+            targets: Number of targets; None or 0: random.
+        """
+        state = reset(self, key, targets)
+        return state, observation(self, state)
+
+    def step(self, state: "EnvironmentState", action: Action) -> tuple["EnvironmentState", "Transition"]:
+        """Move, measure, update, and predict; the transition is `done` when the episode has reached its horizon.
+
+        Args:
+            state: State before the step.
+            action: A number in [-1, 1] for each commanded axis; beyond, it is clipped.
+        """
+        return step(self, state, action)
 
 
 class EnvironmentState(eqx.Module):
@@ -79,22 +107,24 @@ def reset(environment: Environment, key: Key, targets: Count | None = None) -> E
     return begin(environment, episode, next_key)
 
 
-def observation(current: EnvironmentState) -> Observation:
+def observation(environment: Environment, current: EnvironmentState) -> Observation:
     """The observation of a policy; after the last step its numbers have no meaning."""
-    return observe(current.predicted, _known_input(current.episode, current.predicted), current.episode.horizon)
+    episode, predicted = current.episode, current.predicted
+    problem = environment.problem.of_map(episode.map_number)
+    return observe(predicted, _known_input(episode, predicted), episode.horizon, Robot.of(problem))
 
 
 def step(environment: Environment, current: EnvironmentState, action: Action) -> tuple[EnvironmentState, Transition]:
     """One step of `rollout`: move, measure, update, and predict the next beliefs; done when step == horizon."""
     episode, predicted = current.episode, current.predicted
     instant = jax.tree.map(lambda part: part[predicted.step], instants(episode))
-    draft = act(environment.problem, environment.protocol, predicted, instant, action)
+    draft = act(environment.problem.of_map(episode.map_number), environment.protocol, predicted, instant, action)
     state = draft.state
     # A target that was born at this step could not be measured yet.
     score = _score(state, state.present & predicted.present)
     after = _state(environment, episode, state, score, current.key)
     done = state.step >= episode.horizon
-    return after, Transition(score - current.score, done, score, observation(after), state, draft.measured)
+    return after, Transition(score - current.score, done, score, observation(environment, after), state, draft.measured)
 
 
 def renew(

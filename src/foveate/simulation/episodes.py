@@ -10,10 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import Arrivals, Episode, Truth
-from foveate.types import Count, Key, Pose
+from foveate.simulation.starts import TRIES, agent_start, starts, target_starts
+from foveate.simulation.truth import true_states
+from foveate.types import Count, Key, Point, Pose
 
 
 class Drawn(eqx.Module):
@@ -24,6 +27,7 @@ class Drawn(eqx.Module):
     drift: Float[Array, "n d"]
     present: Bool[Array, " n"]
     horizon: Count
+    map_number: Count | None = None
 
 
 class Noise(eqx.Module):
@@ -35,14 +39,16 @@ class Noise(eqx.Module):
     first: Float[Array, "n n_y"]
 
 
-def _draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
+def draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
+    """Shapes into which the random numbers of one scene are cut; those with a row per target grow with their number."""
     d, most = problem.agent.space.dimension, settings.targets_max
-    return (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
+    shapes = (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
+    return shapes if problem.obstacles is None else (*shapes, (), (TRIES, d), (most, TRIES, d))
 
 
 def draw_size(settings: SceneSettings, problem: Problem) -> int:
     """Number of random numbers of one scene."""
-    return _size(_draw_shapes(settings, problem))
+    return _size(draw_shapes(settings, problem))
 
 
 def draw(
@@ -54,10 +60,12 @@ def draw(
 ) -> Drawn:
     """Make a scene from `draw_size` numbers, uniform in [-1, 1), padded to the most targets.
 
-    A scene of a `test` suite has its agent near the centre. `targets` > 0 sets the number of targets.
+    A scene of a `test` suite has its agent near the centre, unless the settings have starts of their own. `targets` > 0
+    sets the number of targets. Where a position is beyond a border that its owner keeps, it is moved onto it; where one
+    is in an obstacle, others are tried.
     """
     d, most = problem.agent.space.dimension, settings.targets_max
-    count, yaw, agent, position, drift = _cut(uniform, _draw_shapes(settings, problem))
+    count, yaw, agent, position, drift, *tries = _cut(uniform, draw_shapes(settings, problem))
 
     sizes = most + 1 - settings.targets_min
     n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * sizes), sizes - 1).astype(int)
@@ -66,11 +74,20 @@ def draw(
     centre = jnp.array(settings.centre_m)
     half_side = jnp.array(settings.half_side_m)
     half_side += settings.half_side_per_target_m * n.astype(half_side.dtype)
-    agent_side = settings.agent_test_half_side_m if test else settings.agent_spread * half_side
+
+    def agent_at(uniform: Float[Array, " d"]) -> Float[Array, " d"]:
+        return problem.inside(agent_start(settings, centre, half_side, uniform, test), problem.bounds_agent)
+
+    def targets_at(start: Point, uniform: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        positions = target_starts(settings, start, centre + half_side * uniform, uniform)
+        return problem.inside(positions, problem.bounds_targets)
+
+    number, start, position = starts(problem, agent_at, targets_at, (agent, position), tries, test)
     steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
     return Drawn(
-        pose=problem.agent.space.upright(centre + agent_side * agent, jnp.pi * yaw),
-        position=centre + half_side * position,
+        pose=problem.agent.space.upright(start, jnp.pi * yaw),
+        position=position,
+        map_number=number,
         drift=jnp.broadcast_to(jnp.array(settings.drift_m_s) * drift, (most, d)),
         present=jnp.arange(most) < n,
         horizon=steps,
@@ -79,7 +96,7 @@ def draw(
 
 def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth: bool = True) -> Noise:
     """Random numbers of one training episode; those that only a truth needs are 0 without it."""
-    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.H.shape[0]
+    d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.size
     uniform_key, normal_key = jax.random.split(key)
     shapes = ((targets, n_y), (steps, targets, n_y), (steps, targets, n_z))
     # Each random number depends on its place alone: the first ones are the same without the rest.
@@ -110,35 +127,34 @@ def episode_of(
     """Make the episode of a scene and its random numbers.
 
     Targets that are positions only have the known input xi = tau (drift + jitter) [m]; for longer states the drift is
-    the initial velocity and the input is zero. With `birth_and_death` a new target enters at the other side for each
-    that leaves the scene's box: the stationary crowd of a street.
+    the initial velocity and the input is zero. A drift that a border has turned is turned in the inputs, too. With
+    `birth_and_death` a new target enters at the other side for each that leaves the scene's box: the stationary crowd
+    of a street. Raises InputError without truth in a region whose borders targets keep.
     """
     motion, d = problem.motion, problem.agent.space.dimension
     period = problem.period
     entry = jnp.arange(len(noise.jitter)) % len(period.tau)
-    first = jax.vmap(motion.state_at)(scene.position)
+    first, drift = jax.vmap(motion.state_at)(scene.position), None
     inputs = jnp.zeros((*noise.jitter.shape[:2], motion.input_size))
     if motion.state_size == d == motion.input_size:
+        drift = scene.drift
         inputs = period.tau[entry, None, None] * (scene.drift + settings.jitter_m_s * noise.jitter)
     elif motion.takes_drift:
         first = first.at[:, d : 2 * d].add(scene.drift)
 
-    known = inputs if settings.known_drift else jnp.zeros_like(inputs)
     truth = None
     if with_truth:
         roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
         pushes = noise.process @ roots[entry] * float(settings.process_noise)
-
-        def move(state, step):
-            motion, known_input, push = step
-            after = motion.advance(state, known_input) + push
-            return after, after
-
-        motions = jax.tree.map(lambda part: part[entry], period.motion)
-        states = jnp.concatenate([first[None], jax.lax.scan(move, first, (motions, inputs, pushes))[1]])
+        states, inputs = true_states(problem.of_map(scene.map_number), first, drift, inputs, pushes)
         truth = Truth(state=states, measurement_noise=noise.measurement)
+    elif problem.bounds_targets or problem.turns_targets:
+        where = "region" if problem.bounds_targets else "obstacles"
+        raise InputError(f"noise = False: expected True, or {where}.targets = 'free': without noise there is no truth")
+    known = inputs if settings.known_drift else jnp.zeros_like(inputs)
     error = first_error(problem, settings, noise.first)
-    episode = Episode(scene.pose, first + error, scene.present, known, scene.horizon, truth)
+    mean = first_mean(problem, settings, first + error, newcomer=False)
+    episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 
@@ -167,18 +183,29 @@ def _with_birth_and_death(
     states = states - jax.vmap(jax.vmap(motion.state_at))(2 * half_side * laps)
     wraps = jnp.any(laps[1:] != laps[:-1], axis=-1)
     present = episode.present & ~jnp.concatenate([jnp.zeros_like(wraps[:1]), wraps])
-    return replace(
-        episode, truth=replace(episode.truth, state=states), arrivals=Arrivals(present=present, mean=states + error)
-    )
+    mean = first_mean(problem, settings, states + error, newcomer=True)
+    return replace(episode, truth=replace(episode.truth, state=states), arrivals=Arrivals(present=present, mean=mean))
 
 
 def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, "*b n_y"]) -> Float[Array, "*b n_y"]:
-    """Error of the initial mean: N(0, V) in position ("paper") or N(0, Y_0^-1) ("consistent")."""
+    """Error of the first mean: N(0, V) in position ("paper"), N(0, Y_0^-1) ("consistent"), or of `first_error_std`."""
+    if settings.first_error_std:
+        return normal * jnp.repeat(jnp.array(settings.first_error_std), problem.motion.dimension)
     if settings.initial_error == "consistent":
         return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
     V, H = problem.period.V[0], problem.sensor.H
     # The least-norm state error whose measurement H y has the distribution N(0, V).
     return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
+
+
+def first_mean(
+    problem: Problem, settings: SceneSettings, erring: Float[Array, "*b n_y"], newcomer: bool
+) -> Float[Array, "*b n_y"]:
+    """Mean of a belief that begins: the `erring` state, truth and error, or its position with every other number 0."""
+    motion, velocity = problem.motion, settings.first_mean_velocity or ("zero" if newcomer else "truth")
+    if velocity == "truth" or motion.state_size == motion.dimension:
+        return erring
+    return jnp.matmul(motion.position(erring), jnp.linalg.pinv(motion.Z).T, precision="highest")
 
 
 def _root(covariance: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:

@@ -14,7 +14,7 @@ from foveate.errors import InputError
 from foveate.geometry.fov_spatial import prism
 from foveate.geometry.space import SPACES
 from foveate.models.problem import Problem
-from foveate.models.sensor import Sensor
+from foveate.models.region import Region
 from foveate.models.target import LinearGaussian
 from foveate.simulation.records import Episode, Observation, Policy
 from foveate.types import Action, Key
@@ -26,22 +26,29 @@ _AXES = (0, 1, 5)
 def embedded_problem(problem: Problem) -> Problem:
     """The planar problem in space: the view is unbounded along z, targets keep their states and are at z = 0.
 
-    Raises InputError for a problem in space, and for (planar) sensor noise in the body frame.
+    Raises InputError for a problem in space, and for a planar sensor with coordinates or noise of its own frame.
     """
     if problem.agent.space.dimension != 2:
         raise InputError("the problem is in space already: expected a planar one")
     if problem.sensor.frame == "body":
         raise InputError("sensor.frame = 'body': a planar V does not turn in space; expected 'world'")
+    if problem.sensor.polar is not None:
+        raise InputError("sensor.measures: a planar bearing is none in space; expected 'position'")
     agent, sensor, schedule = problem.agent, problem.sensor, problem.schedule
     if schedule is not None:
         schedule = replace(schedule, motion=_embedded_motion(schedule.motion))
     return replace(
         problem,
         agent=replace(agent, space=SPACES["spatial"], axes=tuple(_AXES[axis] for axis in agent.axes)),
-        sensor=Sensor(sensor.H, sensor.V, prism(sensor.view), sensor.range_growth, sensor.frame),
+        sensor=replace(sensor, view=prism(sensor.view)),
         motion=_embedded_motion(problem.motion),
         schedule=schedule,
+        region=problem.region and _embedded_region(problem.region),
     )
+
+
+def _embedded_region(region: Region) -> Region:
+    return replace(region, low=jnp.append(region.low, -1.0), high=jnp.append(region.high, 1.0))
 
 
 def _embedded_motion(motion: LinearGaussian) -> LinearGaussian:

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from foveate.models.robot import Robot
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.types import Action, Count, Key, Pose
 
@@ -35,6 +36,7 @@ class Episode(eqx.Module):
     Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth` the
     simulation is the noise-free one of training, which never corrects a mean. Positions are in [m], time derivatives in
     [m/s] and [m/s^2]; `mean` is that of the initial beliefs, in the world frame, `inputs` are the known xi_k.
+    `map_number` is that of the episode's map among those of the problem, if it has obstacles.
     """
 
     pose: Pose
@@ -44,6 +46,7 @@ class Episode(eqx.Module):
     horizon: Count
     truth: Truth | None = None
     arrivals: Arrivals | None = None
+    map_number: Count | None = None
 
 
 class Observation(eqx.Module):
@@ -61,6 +64,14 @@ class Observation(eqx.Module):
     information: Float[Array, "n n_y n_y"]
     present: Bool[Array, " n"]
     known_input: Float[Array, "n m_y"]
+    robot: Robot | None = None
+    """What a policy may know about its robot; None for policies that ask for nothing."""
+
+    @property
+    def map_number(self) -> Count | None:
+        """Number of the robot's map; None without obstacles."""
+        obstacles = None if self.robot is None else self.robot.problem.obstacles
+        return None if obstacles is None else obstacles.grid.index
 
 
 class Policy(eqx.Module):
@@ -80,7 +91,8 @@ class Trace(eqx.Module):
     """Record of one episode; entries after `horizon` steps are padding.
 
     `log_det` is that of the information matrix after step k; `visible` marks the targets actually measured.
-    `rejections` counts the measurements in a row that the gate has rejected; None without a gate. Pose and
+    `rejections` counts the measurements in a row that the gate has rejected; None without a gate. `contacts` counts the
+    steps up to k that an obstacle has ended; None without obstacles. Pose and
     means are in the world frame, positions in [m], `information` in [1/m^2] for positions; `action` is normalised to
     [-1, 1] on every axis, and `log_det` is in [nat].
     """
@@ -93,6 +105,7 @@ class Trace(eqx.Module):
     visible: Bool[Array, "K n"]
     present: Bool[Array, "instants n"]
     rejections: Int[Array, "K n"] | None = None
+    contacts: Int[Array, " K"] | None = None
 
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
@@ -134,10 +147,18 @@ class Backpropagation(NamedTuple):
     window: int | None = None
 
 
+class LastLook(eqx.Module):
+    """The pose of the previous look, and the targets that it did not show."""
+
+    pose: Pose
+    missed: Bool[Array, " n"]
+
+
 class State(eqx.Module):
     """Pose and beliefs after step k; `information` has one matrix per level of the protocol (at least one).
 
-    `rejections` is as in `Trace`.
+    `rejections` is as in `Trace`; `last_look` is None unless missed detections are used; `contacts` counts the steps
+    that an obstacle has ended, None without obstacles.
     """
 
     step: Count
@@ -146,9 +167,11 @@ class State(eqx.Module):
     information: Float[Array, "levels n n_y n_y"]
     present: Bool[Array, " n"]
     rejections: Int[Array, " n"] | None = None
+    last_look: LastLook | None = None
+    contacts: Count | None = None
 
 
-def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count) -> Observation:
+def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count, robot: Robot) -> Observation:
     """The observation of a predicted state in an episode of `horizon` steps."""
     return Observation(
         step=predicted.step,
@@ -158,6 +181,7 @@ def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count
         information=predicted.information[-1],
         present=predicted.present,
         known_input=known_input,
+        robot=robot.at(predicted.step),
     )
 
 

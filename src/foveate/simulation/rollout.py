@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
+from foveate.models.robot import Robot
 from foveate.simulation import step
 from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
 from foveate.types import Action, Key
@@ -53,13 +54,15 @@ def simulate(
     `decide` gets `key` folded with the number of the step, and at the first step `memory`. The simulation begins with
     `state`, by default the start of the episode. A gradient goes through all steps unless `back` says otherwise.
     """
+    problem = problem.of_map(episode.map_number)
+    robot = Robot.of(problem)
 
     def advance(carry, instant):
         if back.window is not None:
             carry = _detached(carry, carry[0].step % back.window == 0)
         state, memory = carry
         predicted = step.predict(problem, state, instant.known_input)
-        observation = observe(predicted, instant.known_input, episode.horizon)
+        observation = observe(predicted, instant.known_input, episode.horizon, robot)
         action, memory, notes = decide(observation, memory, jax.random.fold_in(key, state.step))
         draft = step.act(problem, protocol, predicted, instant, action)
         outcome = Outcome(observation, action, notes, draft.state, draft.measured, draft.weight)
@@ -105,8 +108,9 @@ def _play(
     back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> PyTree:
     """Simulate an episode with a policy."""
+    problem = problem.of_map(episode.map_number)
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
-    memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon))
+    memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem)))
     return simulate(problem, decider(policy), episode, protocol, key, record, memory=memory, back=back)
 
 
@@ -125,13 +129,14 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         return {"pose": state.pose, "mean": state.mean, "information": state.information[-1], "present": state.present}
 
     def record(outcome: Outcome):
-        return columns(outcome.state), outcome.action, outcome.measured, outcome.state.rejections
+        state = outcome.state
+        return columns(state), outcome.action, outcome.measured, (state.rejections, state.contacts)
 
-    states, action, visible, rejections = _play(problem, policy, episode, protocol, key, record)
+    states, action, visible, (rejections, contacts) = _play(problem, policy, episode, protocol, key, record)
     first = columns(step.start(problem, episode, protocol))
     states = jax.tree.map(lambda before, after: jnp.concatenate([before[None], after]), first, states)
     log_det = log_det_spd(states["information"][1:])
-    return Trace(**states, action=action, log_det=log_det, visible=visible, rejections=rejections)
+    return Trace(**states, action=action, log_det=log_det, visible=visible, rejections=rejections, contacts=contacts)
 
 
 def log_dets(

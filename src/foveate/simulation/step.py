@@ -1,13 +1,13 @@
 """One step of the simulation as a tuple of named pure stages, which `stages` chooses for the kind of episode.
 
-Step k: predict p_{k+1}, P_{k+1}; observe; decide u_k at T_k; then the stages: move to T_{k+1}, sense y_{k+1}, gate the
-measurements, correct the means, weigh, and update to mu_{k+1}, Y_{k+1}. A scenario without truth, gate, missed
-detections or births and deaths has no such stage, and does not pay for it.
+Step k: predict p_{k+1}, P_{k+1}; observe; decide u_k at T_k; then the stages: move to T_{k+1}, no farther than borders,
+targets and obstacles allow, sense y_{k+1}, gate the measurements, correct the means, weigh, and update to mu_{k+1},
+Y_{k+1}. A scenario without borders, a distance to keep, obstacles, truth, gate, missed detections or births and deaths
+has no such stage, and does not pay for it.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,43 +19,12 @@ from foveate.models.belief import Belief
 from foveate.models.missed_detection import condition_on_missed_detection
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import detection_weight
-from foveate.simulation.records import Episode, Instant, Protocol, State
-from foveate.types import Action, Pose
-
-
-class Sensed(NamedTuple):
-    """Measurements z = H y + eta of every target, also of those outside of the view.
-
-    `position_body` is the true position of each target, `in_view` marks those inside of the field of view.
-    """
-
-    position_body: Float[Array, "n d"]
-    in_view: Bool[Array, " n"]
-    measurement: Float[Array, "n n_z"]
-
-
-class Draft(NamedTuple):
-    """A step in progress: the results of its stages.
-
-    `state` begins as the predicted one and ends as that after the update. `covariance` is V as the filter believes it,
-    at the predicted means; `measured` marks the targets whose measurement is taken; `weight` is the share of a
-    measurement's information that each level of the protocol counts; `restart` marks the beliefs to be replaced, and
-    holds new ones.
-    """
-
-    predicted: State
-    action: Action
-    instant: Instant
-    state: State
-    covariance: Float[Array, "n n_z n_z"]
-    measured: Bool[Array, " n"]
-    weight: Float[Array, "levels n"]
-    sensed: Sensed | None = None
-    restart: tuple[Bool[Array, " n"], Belief] | None = None
-
-
-Stage = Callable[[Problem, Protocol, Draft], Draft]
-"""Part of a step, given the problem of that step alone (`Problem.at`)."""
+from foveate.simulation.draft import Draft, Sensed, Stage, noise_covariance, positions_body
+from foveate.simulation.motion import expect_noise, keep_off_targets, move, stop_at_border, stop_at_obstacles
+from foveate.simulation.polar import compare_polar, correct_polar, expect_polar
+from foveate.simulation.records import Episode, Instant, LastLook, Protocol, State
+from foveate.simulation.sight import hide, weigh_sight
+from foveate.types import Action
 
 
 def instants(episode: Episode) -> Instant:
@@ -69,6 +38,7 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
     present = episode.present if episode.arrivals is None else episode.arrivals.present[0]
     information = first_information(problem, episode.mean.shape[0])
     levels = max(1, len(protocol.levels))
+    looks_back = episode.truth is not None and _uses_missed_detections(problem, protocol)
     return State(
         step=jnp.zeros((), int),
         pose=episode.pose,
@@ -76,6 +46,8 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
         information=jnp.broadcast_to(information, (levels, *information.shape)),
         present=present,
         rejections=None if protocol.gate is None else jnp.zeros(present.shape, int),
+        last_look=LastLook(episode.pose, jnp.zeros(present.shape, bool)) if looks_back else None,
+        contacts=None if problem.obstacles is None else jnp.zeros((), int),
     )
 
 
@@ -91,19 +63,29 @@ def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stag
     """The stages after a decision that problem, protocol and the kind of episode need."""
     has_truth, has_births = instant.truth is not None, instant.arrivals is not None
     has_gate = has_truth and protocol.gate is not None
-    # Negative information is of the real field of view: a soft view has already counted a part of a measurement there.
-    uses_missed_detections = has_truth and problem.sensor.uses_missed_detections and not protocol.levels
+    uses_missed_detections = has_truth and _uses_missed_detections(problem, protocol)
     return (
         move,
+        *((stop_at_border,) if problem.bounds_agent else ()),
+        *((keep_off_targets,) if problem.keep_off_m is not None else ()),
+        *((stop_at_obstacles,) if problem.obstacles is not None else ()),
+        expect_noise if problem.sensor.polar is None else expect_polar,
         *((sense,) if has_truth else ()),
+        *((hide,) if has_truth and problem.obstacles is not None else ()),
         *((gate_measurements,) if has_gate else ()),
-        *((correct_means,) if has_truth else ()),
+        *((correct_means if problem.sensor.polar is None else correct_polar,) if has_truth else ()),
         weigh_softly if protocol.levels else weigh_measured,
+        *((weigh_sight,) if protocol.levels and problem.obstacles is not None else ()),
         update_information,
         *((restart_beliefs,) if has_gate else ()),
         *((use_missed_detections,) if uses_missed_detections else ()),
         *((replace_targets,) if has_births else ()),
     )
+
+
+def _uses_missed_detections(problem: Problem, protocol: Protocol) -> bool:
+    """Negative information is of the real field of view: a soft view has already counted a part of a measurement."""
+    return problem.sensor.uses_missed_detections and not protocol.levels
 
 
 def act(problem: Problem, protocol: Protocol, predicted: State, instant: Instant, action: Action) -> Draft:
@@ -126,47 +108,50 @@ def act(problem: Problem, protocol: Protocol, predicted: State, instant: Instant
     return draft
 
 
-def move(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """T_{k+1} = T_k exp(tau hat(u)), and V at the predicted positions as seen from there."""
-    pose = problem.agent.move(draft.predicted.pose, draft.action, problem.tau)
-    covariance = _covariance(problem, pose, _position_body(problem, pose, draft.predicted.mean))
-    return draft._replace(state=replace(draft.state, pose=pose), covariance=covariance)
-
-
 def sense(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """Measure every target at its true position; only those in view, and present before and after, count."""
     reality, arrivals, pose = draft.instant.truth, draft.instant.arrivals, draft.state.pose
     assert reality is not None, "a stage of episodes with truth"
-    position_body = _position_body(problem, pose, reality.state)
+    position_body = positions_body(problem, pose, reality.state)
     in_view = problem.sensor.view.contains(position_body) & draft.predicted.present
     if arrivals is not None:
         in_view = in_view & arrivals.present
-    root = cholesky_spd(_covariance(problem, pose, position_body))
+    root = cholesky_spd(noise_covariance(problem, pose, position_body))
     noise = multiply(root, reality.measurement_noise[..., None])
-    measurement = reality.state @ problem.sensor.H.T + noise[..., 0]
+    measurement = problem.sensor.expected(reality.state, position_body) + noise[..., 0]
     return draft._replace(sensed=Sensed(position_body, in_view, measurement), measured=in_view)
 
 
 def gate_measurements(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """Reject measurements too far from their prediction; after several in a row, restart the belief from the last."""
-    sensed, rejections, H = draft.sensed, draft.state.rejections, problem.sensor.H
+    sensed, rejections = draft.sensed, draft.state.rejections
     assert sensed is not None, "a stage of episodes with truth"
     assert protocol.gate is not None, "a stage of protocols with a gate"
     assert rejections is not None, "`start` counts them where there is a gate"
 
-    def compare(mean, information, z, V):
-        prediction = Belief(mean, information)
-        return gate.squared_distance(prediction, z, H, V), gate.one_point(problem.prior_information, z, H, V)
-
-    distance, fresh = jax.vmap(compare)(
-        draft.predicted.mean, draft.predicted.information[-1], sensed.measurement, draft.covariance
-    )
+    distance, fresh = (_compare if problem.sensor.polar is None else compare_polar)(problem, draft, sensed)
     # Written so that a distance that is not a number is rejected, too.
     rejected = sensed.in_view & ~(distance <= protocol.gate)
     restarts = rejected & (rejections + 1 >= gate.RESTART_AFTER)
     measured = (sensed.in_view & ~rejected) | restarts
     state = replace(draft.state, rejections=jnp.where(measured, 0, jnp.where(rejected, rejections + 1, rejections)))
     return draft._replace(state=state, measured=measured, restart=(restarts, fresh))
+
+
+def _compare(problem: Problem, draft: Draft, sensed: Sensed) -> tuple[Float[Array, " n"], Belief]:
+    """Squared distances of measurements to their predictions, and the beliefs that begin with each."""
+    H = problem.sensor.H
+    # A fresh belief is where it was measured, and so is its V: the predicted mean has just been rejected.
+    measured_body = positions_body(problem, draft.state.pose, sensed.measurement @ jnp.linalg.pinv(H).T)
+    fresh_covariance = noise_covariance(problem, draft.state.pose, measured_body)
+
+    def compare(mean, information, z, V, fresh_V):
+        prediction = Belief(mean, information)
+        return gate.squared_distance(prediction, z, H, V), gate.one_point(problem.prior_information, z, H, fresh_V)
+
+    return jax.vmap(compare)(
+        draft.predicted.mean, draft.predicted.information[-1], sensed.measurement, draft.covariance, fresh_covariance
+    )
 
 
 def correct_means(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
@@ -184,7 +169,7 @@ def weigh_softly(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     if protocol.at_truth and draft.sensed is not None:
         position_body = draft.sensed.position_body
     else:
-        position_body = _position_body(problem, draft.state.pose, draft.predicted.mean)
+        position_body = positions_body(problem, draft.state.pose, draft.predicted.mean)
     distance = problem.sensor.view.signed_distance(position_body)
     return draft._replace(weight=jnp.stack([detection_weight(distance, level) for level in protocol.levels]))
 
@@ -196,7 +181,7 @@ def weigh_measured(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
 
 def update_information(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """Y = P + weight H^T V^-1 H, for every level."""
-    gain = jax.vmap(problem.sensor.information)(draft.covariance)
+    gain = jax.vmap(problem.sensor.information)(draft.covariance) if draft.gain is None else draft.gain
     update = jax.vmap(jax.vmap(belief.update_information), (0, None, 0))
     information = update(draft.predicted.information, gain, draft.weight)
     return draft._replace(state=replace(draft.state, information=information))
@@ -210,17 +195,26 @@ def restart_beliefs(problem: Problem, protocol: Protocol, draft: Draft) -> Draft
 
 
 def use_missed_detections(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """Condition the belief of every target not in view on its being outside of the view."""
-    assert draft.sensed is not None, "a stage of episodes with truth"
-    state = draft.state
+    """Condition the belief of every target not in view on its being outside of the view.
 
-    def is_inside(positions_world: Float[Array, "points d"]) -> Bool[Array, " points"]:
-        return problem.sensor.view.contains(problem.agent.space.to_body(state.pose, positions_world))
+    Of a target that was missed before, only on ground that the previous look did not show (`models.missed_detection`).
+    """
+    state, sensed, last = draft.state, draft.sensed, draft.state.last_look
+    assert sensed is not None, "a stage of episodes with truth"
+    assert last is not None, "`start` keeps it where missed detections are used"
 
-    outside = jax.vmap(lambda m, Y: condition_on_missed_detection(Belief(m, Y), problem.motion.Z, is_inside))(
-        state.mean, state.information[0]
-    )
-    return _with_beliefs(draft, ~draft.sensed.in_view, outside.mean, outside.information)
+    def is_shown(positions_world: Float[Array, "points d"], missed: Bool[Array, ""]) -> Bool[Array, " points"]:
+        known = missed & problem.sees(last.pose, positions_world)
+        return problem.sees(state.pose, positions_world) & ~known
+
+    outside = jax.vmap(
+        lambda m, Y, missed: condition_on_missed_detection(
+            Belief(m, Y), problem.motion.Z, partial(is_shown, missed=missed)
+        )
+    )(state.mean, state.information[0], last.missed)
+    draft = _with_beliefs(draft, ~sensed.in_view, outside.mean, outside.information)
+    look = LastLook(state.pose, ~sensed.in_view & state.present)
+    return draft._replace(state=replace(draft.state, last_look=look))
 
 
 def replace_targets(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
@@ -238,13 +232,3 @@ def _with_beliefs(draft: Draft, where: Bool[Array, " n"], mean: Array, informati
     mean = jnp.where(where[:, None], mean, draft.state.mean)
     information = jnp.where(where[:, None, None], information, draft.state.information)
     return draft._replace(state=replace(draft.state, mean=mean, information=information))
-
-
-def _position_body(problem: Problem, pose: Pose, state: Float[Array, "n n_y"]) -> Float[Array, "n d"]:
-    """q = Q T^-1 [zeta(y); 1]."""
-    return problem.agent.space.to_body(pose, problem.motion.position(state))
-
-
-def _covariance(problem: Problem, pose: Pose, position_body: Float[Array, "n d"]) -> Float[Array, "n n_z n_z"]:
-    rotation = problem.agent.space.rotation(pose)
-    return jax.vmap(problem.sensor.covariance, (None, 0))(rotation, position_body)

@@ -13,6 +13,7 @@ the order follows from the sensor's `position_mapping`, or else from its measure
 import datetime
 import warnings
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -25,15 +26,18 @@ from stonesoup.predictor import Predictor
 from stonesoup.sensormanager import SensorManager
 from stonesoup.types.track import Track
 
+from foveate.deploy.decider import Decider
 from foveate.errors import InputError
 from foveate.geometry import fov, fov_planar
 from foveate.io.validate import require
 from foveate.models.agent import Agent
+from foveate.models.polar import Polar
 from foveate.models.problem import Problem
+from foveate.models.robot import Robot
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.simulation.records import Observation, Policy
-from foveate.stonesoup.parts import BodyMovable, Property, TwistAction, pose_of
+from foveate.stonesoup.parts import MODELS, BodyMovable, Property, TwistAction, pose_of
 
 
 def state_order(position_mapping: Iterable[int], ndim_state: int) -> tuple[int, ...]:
@@ -74,10 +78,12 @@ def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance
     control_matrix = np.asarray(control.matrix(**interval), float)
     B = control_matrix[order] if control_matrix.any() else np.zeros((n_y, d))
     A, W = (np.asarray(matrix(**interval))[block] for matrix in (motion_model.matrix, motion_model.covar))
-    H, V = np.asarray(measurement.matrix())[:, order], measurement.covar()
+    coordinates, V = MODELS.get(type(measurement)), measurement.covar()
+    H = np.asarray(measurement.matrix())[:, order] if coordinates is None else np.eye(d, n_y)
+    polar = None if coordinates is None else Polar(coordinates, (0.0,) * len(coordinates))
     return Problem(
         agent=agent,
-        sensor=Sensor(H=_array(H), V=_array(V), view=_view_of(sensor, agent)),
+        sensor=Sensor(H=_array(H), V=_array(V), view=_view_of(sensor, agent), polar=polar),
         motion=LinearGaussian(A=_array(A), B=_array(B), W=_array(W), Z=jnp.eye(d, n_y)),
         tau=_array(tau_s),
         prior_information=_array(np.linalg.inv(np.asarray(prior_covariance, float)[block])),
@@ -88,12 +94,14 @@ class PolicySensorManager(SensorManager):
     """Steers the platform of one sensor by a foveate policy.
 
     Stone Soup's predictor predicts each track to `timestamp`; the policy decides on the predictions, at the pose of the
-    sensor. Its command becomes an action of the platform, or of a sensor with `steers` that is given alone.
+    sensor, and may know the limits of its body, its sensor, and the motion of the targets until then. Its command
+    becomes an action of the platform, or of a sensor with `steers` that is given alone.
 
     The number of steps left follows from `end_time`, the end of the run; a run without an end always has `steps_left`,
     as in the middle of a training episode. `trained_for` is the problem that the policy was trained on: a warning names
-    once its differences from this one. Inputs of the targets are taken as unknown. Raises InputError for a model that
-    is not linear-Gaussian, for tracks without a covariance, and unless there is exactly one sensor.
+    once its differences from this one, and the belief of a new target is that of the training. Inputs of the targets
+    are taken as unknown. Raises InputError for a model that is not linear-Gaussian, for a sensor without a field of
+    view, for tracks without a covariance, and unless there is exactly one sensor.
     """
 
     policy: Policy = Property(doc="Policy that decides.")
@@ -114,7 +122,8 @@ class PolicySensorManager(SensorManager):
         *_, self._order = _models(self._sensor, self.predictor)
         if not self.platforms and not getattr(self._sensor, "steers", False):
             raise InputError("platforms is empty: expected the sensor's platform, or a ViewSensor with steers=True")
-        self._memory, self._size, self._step = None, -1, 0
+        self._decider = Decider(self.policy, self._agent, self.seed)
+        self._robots: dict[float, Robot] = {}
         if self.trained_for is not None:
             self._warn(self.trained_for)
 
@@ -123,19 +132,27 @@ class PolicySensorManager(SensorManager):
     ) -> list[dict[Any, tuple[TwistAction, ...]]]:
         """The policy's command until `timestamp`; `nchoose` must be 1."""
         require(nchoose == 1, "nchoose", nchoose, "expected 1, a policy has one answer")
-        observation = self._observation(tracks, timestamp)
-        if len(observation["present"]) != self._size:
-            self._size, self._memory = len(observation["present"]), _begin(self.policy, observation)
-        control, self._memory = _decide(self.policy, self._agent, observation, self._memory, self.seed)
-        self._step += 1
+        robot = self._robot((timestamp - self._sensor.movement_controller.state.timestamp).total_seconds())
+        control = self._decider.command(self._observation(tracks, timestamp, robot))
         actionable = next(iter(self.platforms), self._sensor)
         (generator,) = actionable.actions(timestamp)
-        return [{actionable: (generator.action_from_value(np.asarray(control)),)}]
+        return [{actionable: (generator.action_from_value(control),)}]
 
-    def _observation(self, tracks: Iterable[Track], timestamp: datetime.datetime) -> dict[str, np.ndarray]:
-        """Fields of the policy's observation: the predicted tracks in the order of their ids, padded."""
+    def _robot(self, tau_s: float) -> Robot:
+        """What the policy may know of its robot, over the time of this decision [s]."""
+        if tau_s not in self._robots:
+            own = problem_of(self._sensor, self.predictor, tau_s, np.eye(len(self._order)))
+            prior = own.prior_information / own.sensor.view.depth**2
+            if self.trained_for is not None:
+                prior = self.trained_for.prior_information.astype(prior.dtype)
+            # Only the last: a run without a fixed interval has as many as decisions.
+            self._robots = {tau_s: Robot.of(replace(own, prior_information=prior))}
+        return self._robots[tau_s]
+
+    def _observation(self, tracks: Iterable[Track], timestamp: datetime.datetime, robot: Robot) -> Observation:
+        """The policy's observation: the predicted tracks in the order of their ids, padded."""
         ordered = sorted(tracks, key=lambda track: track.id)
-        n, n_y, d = len(ordered), len(self._order), self._agent.space.dimension
+        n, n_y = len(ordered), len(self._order)
         size = self.pad_to * max(1, -(-n // self.pad_to))
         mean, covariance = np.zeros((size, n_y)), np.broadcast_to(np.eye(n_y), (size, n_y, n_y)).copy()
         for i, track in enumerate(ordered):
@@ -144,16 +161,16 @@ class PolicySensorManager(SensorManager):
             state = self.predictor.predict(track.state, timestamp=timestamp)
             mean[i] = np.asarray(state.mean, float)[self._order, 0]
             covariance[i] = np.asarray(state.covar, float)[np.ix_(self._order, self._order)]
-        input_size = d if self.trained_for is None else self.trained_for.motion.input_size
-        return {
-            "step": np.array(self._step),
-            "left": np.array(self._left(timestamp)),
-            "pose": pose_of(self._sensor, self._agent.space),
-            "mean": mean,
-            "information": np.linalg.inv(covariance),
-            "present": np.arange(size) < n,
-            "known_input": np.zeros((size, input_size)),
-        }
+        return Observation(
+            step=jnp.zeros((), int),
+            left=jnp.asarray(self._left(timestamp), int),
+            pose=_array(pose_of(self._sensor, self._agent.space)),
+            mean=_array(mean),
+            information=_array(np.linalg.inv(covariance)),
+            present=jnp.arange(size) < n,
+            known_input=jnp.zeros((size, robot.problem.motion.input_size)),
+            robot=robot,
+        )
 
     def _left(self, timestamp: datetime.datetime) -> int:
         """Steps left, including this one, all equally long."""
@@ -168,24 +185,19 @@ class PolicySensorManager(SensorManager):
         pairs = {
             "body and its limits": (trained.agent, own.agent),
             "field of view": (trained.sensor.view, own.sensor.view),
-            "noise of the sensor": (trained.sensor.V, own.sensor.V),
+            "noise of the sensor": (_noise_of(trained.sensor), _noise_of(own.sensor)),
             f"motion of the targets over {tau_s:g} s": tuple((m.A, m.W, m.Z) for m in (trained.motion, own.motion)),
         }
         if other := [name for name, pair in pairs.items() if not eqx.tree_equal(*pair, rtol=1e-4)]:
             warnings.warn(f"the policy was trained for another problem: {', '.join(other)}", stacklevel=3)
 
 
-@eqx.filter_jit
-def _begin(policy: Policy, observation: dict[str, Any]) -> Any:
-    return policy.start(Observation(**observation))
-
-
-@eqx.filter_jit
-def _decide(policy: Policy, agent: Agent, observation: dict[str, Any], memory: Any, seed: int) -> tuple[Any, Any]:
-    """The command [m/s, rad/s], and the policy's memory."""
-    key = jax.random.fold_in(jax.random.key(seed), observation["step"])
-    action, memory = policy(Observation(**observation), memory, key)
-    return agent.control(action), memory
+def _noise_of(sensor: Sensor) -> dict[str, Any]:
+    """Covariances by what is measured, in whatever order."""
+    if sensor.polar is None:
+        return {"position": sensor.V}
+    names = list(enumerate(sensor.polar.coordinates))
+    return {f"{a} {b}": sensor.V[i, j] for i, a in names for j, b in names}
 
 
 def _body_of(sensor: Any) -> BodyMovable:
@@ -199,10 +211,11 @@ def _body_of(sensor: Any) -> BodyMovable:
 
 
 def _models(sensor: Any, predictor: Predictor) -> tuple[Any, Any, list[int]]:
-    """Linear-Gaussian transition and measurement model, and the `state_order`."""
+    """Linear-Gaussian transition, measurement model (linear-Gaussian, or in `MODELS`), and the `state_order`."""
     models = predictor.transition_model, sensor.measurement_model
     for owner, model in zip((predictor, sensor), models, strict=True):
-        if not (isinstance(model, LinearModel) and isinstance(model, GaussianModel)):
+        is_polar = owner is sensor and type(model) in MODELS
+        if not (is_polar or (isinstance(model, LinearModel) and isinstance(model, GaussianModel))):
             raise InputError(
                 f"{type(owner).__name__} has a {type(model).__name__}: expected a linear-Gaussian model; "
                 "foveate's beliefs are those of a Kalman filter"

@@ -12,6 +12,12 @@ from scipy.spatial.transform import Rotation
 from stonesoup import base
 from stonesoup.functions import build_rotation_matrix
 from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.measurement.nonlinear import (
+    Cartesian2DToBearing,
+    CartesianToBearingRange,
+    CartesianToElevationBearing,
+    CartesianToElevationBearingRange,
+)
 from stonesoup.movable import FixedMovable
 from stonesoup.sensor.sensor import SimpleSensor
 from stonesoup.sensormanager.action import Action, ActionGenerator
@@ -22,6 +28,7 @@ from foveate.errors import InputError
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
+from foveate.models.polar import Coordinate
 
 Property: Any = base.Property  # for type checkers, as a property is declared with the type of its value
 
@@ -52,7 +59,7 @@ class TwistAction(Action):
 
 
 class TwistActionGenerator(ActionGenerator):
-    """All commands within the limits of a body; iterates over a grid of `resolution` values on each axis."""
+    """All commands of a body; iterates over its set of them, or over a grid of `resolution` values on each axis."""
 
     def __contains__(self, item: Any) -> bool:
         control = np.asarray(item.target_value if isinstance(item, Action) else item, float)
@@ -60,6 +67,9 @@ class TwistActionGenerator(ActionGenerator):
         return control.shape == lower.shape and bool(np.all((lower <= control) & (control <= upper)))
 
     def __iter__(self) -> Iterator[TwistAction]:
+        body: Any = self.owner
+        if body.agent.commands is not None:
+            return (self.action_from_value(control) for control in np.asarray(body.agent.commands, float))
         counts: Any = self.resolution
         axes = (np.linspace(low, high, count) for low, high, count in zip(*self._limits, counts, strict=True))
         return (self.action_from_value(np.array(control)) for control in product(*axes))
@@ -147,8 +157,19 @@ class BodyMovable(FixedMovable):
             self.position, self.orientation = StateVector(pose[:3, 3]), StateVector([roll, -dive, yaw])
 
 
+MODELS: dict[type, tuple[Coordinate, ...]] = {
+    CartesianToBearingRange: ("bearing", "range"),
+    Cartesian2DToBearing: ("bearing",),
+    CartesianToElevationBearingRange: ("elevation", "bearing", "range"),
+    CartesianToElevationBearing: ("elevation", "bearing"),
+}
+"""Stone Soup's models of sensors that measure in their own frame, and what they measure, in their order."""
+
+
 class ViewSensor(SimpleSensor):
     """Measures positions with Gaussian noise inside a field of view that its platform carries.
+
+    With `model`, one of Stone Soup's in `MODELS`, it measures bearings and ranges in its own frame instead.
 
     `view` is a shape of `foveate.geometry`, in the sensor's frame: x ahead, y to the left, z up. With `steers` its
     actions are those of the movable that carries it, for managers that evaluate each sensor alone, as Stone Soup's
@@ -157,23 +178,36 @@ class ViewSensor(SimpleSensor):
 
     ndim_state: int = Property(doc="Length of a target's state.")
     position_mapping: Sequence[int] = Property(doc="Indices of the position in a target's state.")
-    noise_covar: CovarianceMatrix = Property(doc="Covariance of a measured position, in the world frame [m^2].")
+    noise_covar: CovarianceMatrix = Property(
+        doc="Covariance of a measured position, in the world frame [m^2], or of `model`."
+    )
     view: FieldOfView = Property(doc="The field of view.")
     space: Space = Property(doc="The plane, or space.")
     steers: bool = Property(default=False, doc="True if it offers the commands of the movable that carries it.")
+    model: type = Property(default=None, doc="Class of a model in `MODELS`; None: positions.")
 
     @property
-    def measurement_model(self) -> LinearGaussian:
-        """The position plus noise."""
-        return LinearGaussian(ndim_state=self.ndim_state, mapping=self.position_mapping, noise_covar=self.noise_covar)
+    def measurement_model(self) -> Any:
+        """The position plus noise, or what `model` measures from here."""
+        common = {"ndim_state": self.ndim_state, "mapping": self.position_mapping, "noise_covar": self.noise_covar}
+        if self.model is None:
+            return LinearGaussian(**common)
+        if self.model not in MODELS:
+            names = ", ".join(each.__name__ for each in MODELS)
+            raise InputError(f"model = {self.model!r}: expected one of {names}, or None for positions")
+        return self.model(**common, translation_offset=self.position, rotation_offset=self.orientation)
 
     def is_detectable(self, state: State, measurement_model: Any = None) -> bool:
         """True where the state's position is in view."""
         return self._sees(state.state_vector[list(self.position_mapping), :])
 
     def is_clutter_detectable(self, state: State) -> bool:
-        """True where a false detection is in view."""
-        return self._sees(state.state_vector)
+        """True where a false detection is in view; one without a range always is."""
+        if self.model is None:
+            return self._sees(state.state_vector)
+        if "range" not in MODELS[self.model]:
+            return True
+        return self._sees(self.measurement_model.inverse_function(state)[list(self.position_mapping), :])
 
     def _sees(self, position_world: Any) -> bool:
         pose = pose_of(self, self.space)

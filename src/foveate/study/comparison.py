@@ -140,8 +140,8 @@ def as_json(comparisons: Sequence[Comparison], facts: Mapping[str, Any]) -> dict
     for comparison in comparisons:
         error = {} if comparison.initial_error is None else {"initial_error": comparison.initial_error}
         for part in comparison.parts:
-            records["rows"] += [asdict(row) | {"training_seed": part.training_seed} | error for row in part.rows]
-        records["by_seed"] += [{"training_seed": seed, **asdict(cell), **error} for seed, cell in comparison.by_seed]
+            records["rows"] += [row.record() | {"training_seed": part.training_seed} | error for row in part.rows]
+        records["by_seed"] += [{"training_seed": seed, **cell.record(), **error} for seed, cell in comparison.by_seed]
         for name in ("summary", "differences", "overall"):
             records[name] += [asdict(record) | error for record in getattr(comparison, name)]
     return {**facts, "reference": comparisons[0].reference, **records}

@@ -18,9 +18,9 @@ from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import planner, planner_rows
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPO, PRESETS, adjusted
+from foveate.experiment.resolve import heuristic_in
 from foveate.names import HEURISTICS
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
-from foveate.policies.heuristics import heuristic
 from foveate.simulation.records import PROTOCOLS, Policy
 
 
@@ -219,4 +219,4 @@ def _online(starts: int) -> Planned:
 
 
 def _heuristic(name: str) -> Fixed:
-    return Fixed(name=name, make=lambda e: heuristic(name, e.scenario.problem(), float(e.scenario.view.depth_m)))
+    return Fixed(name=name, make=lambda experiment: heuristic_in(experiment.scenario, name))

@@ -81,7 +81,7 @@ class _Page:
                 for name, group in group_by(self.results.trained, lambda training: training.name).items()
             }
             learning_curves(curves, out / "learning.png")
-            yield "learning.png", "Held-out score against environment steps and time: mean over seeds, worst to best"
+            yield "learning.png", "Held-out score against environment steps: mean over seeds, worst to best"
         biased = [scene for scene in self.benchmark.suite.scenes if scene.motion == "biased"]
         scenes = [group[0] for group in group_by(biased, lambda scene: len(scene.targets)).values()]
         for protocol in study.protocols:

@@ -13,7 +13,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.io.grouping import group_by
 from foveate.scenario.factors import Factor
 from foveate.simulation.records import PROTOCOLS, Policy
-from foveate.simulation.suites import suite
+from foveate.simulation.suites import Cell, suite
 from foveate.study.methods import Acting, Benchmark, Method
 
 TARGETS = 5
@@ -71,7 +71,7 @@ def changed_benchmark(
     plain = replace(experiment.scenario.scenes, targets_min=TARGETS, targets_max=TARGETS)
     scenario = factor.change(replace(experiment.scenario, scenes=plain), value)
     problem = scenario.problem()
-    drawn = suite(scenario.scenes, problem, seed, scenario.scenes.targets_max, scenes, biased=True)
+    drawn = suite(scenario.scenes, problem, seed, [Cell(scenario.scenes.targets_max, biased=True)], scenes)
     prepared = prepare(problem, scenario.scenes, drawn, seed=noise_seed)
     return Benchmark(experiment=replace(experiment, scenario=scenario), suite=prepared)
 

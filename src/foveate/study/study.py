@@ -96,7 +96,8 @@ def benchmark_of(study: Study, initial_error: InitialError | None = None) -> Ben
     scenes = (s for s in table1(problem, study.scene_seed) if study.targets is None or len(s.targets) in study.targets)
     cells = group_by(scenes, lambda scene: (scene.motion, len(scene.targets)))
     first = [scene for cell in cells.values() for scene in cell[: study.scenes_per_cell]]
-    suite = prepare(problem, experiment.scenario.scenes, first, study.noise_seed)
+    objective = experiment.training.objective
+    suite = prepare(problem, experiment.scenario.scenes, first, study.noise_seed, objective=objective)
     return Benchmark(experiment=experiment, suite=suite)
 
 

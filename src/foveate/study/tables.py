@@ -7,6 +7,7 @@ import numpy as np
 
 from foveate.evaluation.bounds import Cell
 from foveate.evaluation.summary import Summary
+from foveate.evaluation.summary_table import number, plus_minus
 from foveate.io.grouping import group_by
 from foveate.io.tables import Table
 from foveate.scenario.factors import Factor
@@ -59,11 +60,11 @@ def scores(comparison: Comparison, protocol: str) -> Table:
     def row(method: Overall, summary: Sequence[Summary]) -> list[str]:
         time_ms = 1e3 * method.step_time_s
         time = f"{time_ms:.3f}" if time_ms < 1 else f"{time_ms:.1f}"
-        means = f"{method.mean:.2f}", _number(method.normalised_score, 3), f"{method.seen_fraction:.0%}", time
-        return [*(_interval(cell.mean, cell.ci95) for cell in summary), *means]
+        means = f"{method.mean:.2f}", number(method.normalised_score, 3), f"{method.seen_fraction:.0%}", time
+        return [*(plus_minus(cell.mean, cell.interval) for cell in summary), *means]
 
     cells = _cells(comparison)
-    columns = (*cells, "mean", "normalised_score", "seen", "decision [ms]")
+    columns = (*cells, "mean", "normalised", "detected", "decision [ms]")
     table = _table(comparison, protocol, "score per target [nat]", note, columns, row)
     if protocol != "surrogate":
         return table
@@ -82,7 +83,8 @@ def differences(comparison: Comparison, protocol: str) -> Table:
 
     def text(cell: Summary) -> str:
         difference = ours[cell.method, cell.motion, cell.targets]
-        return _interval(difference.mean, difference.ci95, "+") + "*" * (difference.p_holm < SIGNIFICANT)
+        interval = difference.ci95 if difference.scenes > 1 else None
+        return plus_minus(difference.mean, interval, "+") + "*" * (difference.p_holm < SIGNIFICANT)
 
     others = replace(comparison, overall=tuple(o for o in comparison.overall if o.method != comparison.reference))
     title = f"difference to {comparison.reference} in the same scenes [nat]"
@@ -102,14 +104,14 @@ def consistency(comparison: Comparison, protocol: str) -> Table:
         return [*seen, *errors, f"{outside} of {len(summary)}"]
 
     note = (
-        "Means over cells. Seen: targets measured at least once; of the time: measured targets among all targets "
-        "of all steps; longest: the longest time without a measurement of any target. RMSE and NEES at the horizon, of "
-        "all targets, of those seen and of those never seen; NEES is the state's length for a consistent filter, more "
-        "for an overconfident one. Outside: cells whose NEES lies outside of its 95 % band."
+        "Means over cells. Detected: targets measured at least once; in view: measured targets among all targets "
+        "of all steps; longest gap: the longest time without a measurement of any target. RMSE and NEES at the "
+        "horizon, of all targets, of those detected and of those never detected; NEES is the state's length for a "
+        "consistent filter, more for an overconfident one. Outside: cells whose NEES lies outside of its 95 % band."
     )
-    groups = ("of the seen", "of the never seen")
-    columns = ("seen", "of the time", "longest [s]", "rmse [m]", *groups, "NEES", *groups, "outside")
-    return _table(comparison, protocol, "targets seen, and consistency of the filter", note, columns, row)
+    errors = [f"{name}{group}" for name in ("RMSE [m]", "NEES") for group in ("", " of detected", " of undetected")]
+    columns = ("detected", "in view", "longest gap [s]", *errors, "outside")
+    return _table(comparison, protocol, "targets detected, and consistency of the filter", note, columns, row)
 
 
 def robustness(factors: Sequence[Factor], points: Sequence[Point]) -> Table:
@@ -125,6 +127,7 @@ def robustness(factors: Sequence[Factor], points: Sequence[Point]) -> Table:
         note="Mean score [nat per target] ± half of its 95 % interval (over scenes, after the mean over training "
         "seeds); in brackets, normalised_score: - where the method beats the omniscient planner. Columns are the "
         "values of the factor, in the order of its row.",
+        keys=2,
         header=("factor", "method", *(f"value {i + 1}" for i in range(most))),
         rows=tuple(rows),
     )
@@ -146,6 +149,7 @@ def seeds(comparison: Comparison, protocol: str) -> Table:
     return Table(
         title=f"{_where(comparison, protocol)}: training seeds [nat]",
         note="Mean score of each trained policy over the scenes of a cell, and the standard deviation of these means.",
+        keys=2,
         header=("method", "policy", *cells, "mean"),
         rows=tuple(rows),
     )
@@ -177,12 +181,8 @@ def _cells(comparison: Comparison) -> dict[str, Cell]:
     return {f"{cell.targets} {cell.motion}": (cell.motion, cell.targets) for cell in comparison.summary}
 
 
-def _interval(mean: float, ci95: tuple[float, float], sign: str = "") -> str:
-    return f"{mean:{sign}.2f} ± {(ci95[1] - ci95[0]) / 2:.2f}"
-
-
 def _verdict(verdict: Verdict) -> str:
-    score, normalised = _interval(verdict.mean, verdict.ci95), verdict.normalised_score
+    score, normalised = plus_minus(verdict.mean, verdict.ci95), verdict.normalised_score
     if verdict.method == ORACLE or normalised is None:
         return score
     return f"{score} ({'-' if normalised > 1 else f'{normalised:.2f}'})"
@@ -195,30 +195,26 @@ def _printed(name: str, numbers: Sequence[tuple[float, float]]) -> tuple[str, ..
 
 def _mean(values: Sequence[float | None]) -> str:
     numbers = [value for value in values if value is not None]
-    return _number(float(np.mean(numbers)) if numbers else None)
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+    return number(float(np.mean(numbers)) if numbers else None)
 
 
 def _nees(value: float | None, band: tuple[float, float] | None) -> str:
     """NEES; with a star where it lies outside of its band."""
     is_outside = value is not None and band is not None and not band[0] <= value <= band[1]
-    return _number(value) + "*" * is_outside
+    return number(value) + "*" * is_outside
 
 
 BY_CELL: tuple[tuple[str, str, Callable[[Summary], str]], ...] = (
-    ("normalised_score by cell", "0: the lower bound, never seeing anything; 1: the omniscient planner.",
-     lambda cell: _number(cell.normalised_score, 3)),
-    ("share of targets seen by cell", "Targets measured at least once.", lambda cell: f"{cell.seen_fraction:.0%}"),
-    ("share of the time seen, and the longest time unseen, by cell",
+    ("normalised_score by cell", "0: the lower bound, never seeing anything; 1: the omniscient planner, no bound.",
+     lambda cell: number(cell.normalised_score, 3)),
+    ("share of targets detected by cell", "Targets measured at least once.", lambda cell: f"{cell.seen_fraction:.0%}"),
+    ("share of the time in view, and the longest gap, by cell",
      "Measured targets among all targets of all steps; the longest time [s] without a measurement of any target.",
      lambda cell: f"{cell.seen_step_fraction:.1%}, {cell.longest_unseen_s:.1f} s"),
-    ("RMSE by cell [m]", "At the horizon: of all targets; of those seen at least once; of those never seen.",
-     lambda cell: " / ".join(map(_number, (cell.rmse_m, cell.rmse_seen_m, cell.rmse_unseen_m)))),
+    ("RMSE by cell [m]", "At the horizon: of all targets; of those detected; of those never detected.",
+     lambda cell: " / ".join(map(number, (cell.rmse_m, cell.rmse_seen_m, cell.rmse_unseen_m)))),
     ("NEES by cell",
-     "At the horizon: of all targets (95 % band of a consistent filter); of those seen; of those never seen. "
+     "At the horizon: of all targets (95 % band of a consistent filter); of those detected; of those never detected. "
      "* : outside of its own band.",
      lambda cell: f"{_nees(cell.nees, cell.nees_band)} ({cell.nees_band[0]:.2f} to {cell.nees_band[1]:.2f}) / "
      f"{_nees(cell.nees_seen, cell.nees_seen_band)} / {_nees(cell.nees_unseen, cell.nees_unseen_band)}"),

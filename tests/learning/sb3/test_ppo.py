@@ -209,7 +209,7 @@ def test_the_vec_env_equals_the_environment():
     vec_env = TargetsVecEnv(environment, WIDTHS, count, key, reward_scale=0.5)
     rows = vec_env.reset()
     one, begin = eqx.filter_jit(step), eqx.filter_jit(reset)
-    look = jax.jit(lambda moment, left: flat_inputs(PROBLEM, WIDTHS, observation(moment), left))
+    look = jax.jit(lambda moment, left: flat_inputs(PROBLEM, WIDTHS, observation(environment, moment), left))
     moments = [begin(environment, each) for each in jax.random.split(jax.random.split(key)[1], count)]
     rng, returns = np.random.default_rng(0), np.zeros(count)
     for k in range(5):
@@ -279,9 +279,7 @@ def test_a_run_from_end_to_end(tmp_path: Path):
     assert experiment == TINY
     assert facts == {"seed": 3, "epoch": outcome.best_epoch, "held_out": outcome.best_score}
     keys = jax.random.split(jax.random.key(3), 4)
-    score, _ = eqx.filter_jit(lambda p, e: validate(TINY, PROBLEM, p, e, keys[3]))(
-        policy, held_out_episodes(TINY, PROBLEM, keys[1])
-    )
+    score, _ = eqx.filter_jit(lambda p, e: validate(TINY, p, e, keys[3]))(policy, held_out_episodes(TINY, keys[1]))
     assert float(score) == pytest.approx(outcome.best_score, abs=1e-12), "the file holds the policy of that score"
     assert list((tmp_path / "a").glob("events*"))
     assert ppo.train(TINY, tmp_path / "b", seed=3) == outcome

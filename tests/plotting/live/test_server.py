@@ -78,11 +78,30 @@ def test_a_page_holds_the_episode(tmp_path, dimension):
     assert "score so far 7.00 nat per target" in last_of(played, "/chart/facts", "text")
 
 
+SCRIPTS = "</script><script>document.title='ran'</script><img src=x onerror=document.title='ran'>"
+
+
+def test_names_are_not_written_into_a_page(tmp_path):
+    view.record(late_sightings(title=SCRIPTS), tmp_path / "page.html")
+    assert "document.title=" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.browser
+def test_a_page_with_hostile_names_runs_nothing(browser, tmp_path, monkeypatch):
+    """Also not where a label in the scene shows them."""
+    monkeypatch.setattr(chart, "CURVES", SCRIPTS)
+    view.record(late_sightings(steps=8, n=3, title=SCRIPTS), tmp_path / "page.html")
+    browser.ask("Page.navigate", url=(tmp_path / "page.html").as_uri())
+    wait_for(lambda: pixels(browser.picture(), GREEN) > 10)
+    assert browser.run("document.title") != "ran"
+    assert browser.run("document.querySelectorAll('img[src=x]').length") == 0
+
+
 def test_facts_and_curves():
     data = late_sightings(n=2, present=np.array([[True, True]] * 3 + [[True, False]] * 2))
     values = chart.curves(data)
     np.testing.assert_allclose(values[:, 0], [-0.5, 6.5, 6.0, 6.0])  # the second one has gone
-    np.testing.assert_allclose(values[:, 2], [0.0, 7.0, np.nan, np.nan])
+    assert values.shape == (4, 1), "where targets come and go, the mean alone"
     assert chart.curves(late_sightings(n=21)).shape == (4, 1)
     facts = chart.facts(data, 3 * SUBSTEPS)
     assert facts["score so far"] == "6.00 nat per target"
@@ -120,10 +139,11 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        assert f"--port {port}: is in use" in failure(capsys, "view", *few, "--port", port)
-    assert "--port 70000" in failure(capsys, "view", *few, "--port", 70000)
+        assert f"port {port}: is in use" in failure(capsys, "view", *few, "--port", port)
+    assert "port 70000" in failure(capsys, "view", *few, "--port", 70000)
     assert "ends in .html" in failure(capsys, "view", *few, "--record", tmp_path / "page.htm")
     assert "expected one of them" in failure(capsys, "view", *few, "--recording", "x.csv")
+    assert "--fps: expected a --recording beside it" in failure(capsys, "view", *few, "--fps", 25)
     assert f"no such scene in {scenes}: known are a" in failure(capsys, "view", *few, "--scene", "nowhere")
     assert "--method 'best'" in failure(capsys, "view", *few, "--method", "best")
     monkeypatch.setitem(sys.modules, "viser", None)
@@ -212,11 +232,11 @@ def test_scenes_and_recordings_from_the_command_line(capsys, tmp_path, monkeypat
     rest = {"targets": ((1.0, 1.0),), "drift": ((0.0, 0.0),), "horizon": 2}
     scenes = [Scene(id=name, agent=(x, 0.0, 0.0), **rest) for name, x in (("a", 0.0), ("b", 3.0))]
     write_scenes(Path("s.json"), scenes)
-    rows = [f"{time_s},7,{1 + 0.1 * time_s},0.5" for time_s in range(5)]
-    Path("r.csv").write_text("\n".join(["time_s,track_id,x_m,y_m", "0,8,4,-2", *rows, "4,8,4,-2"]))
+    rows = [f"{time_s}\t7\t{1 + 0.1 * time_s}\t0.5" for time_s in range(5)]
+    Path("r.tsv").write_text("\n".join(["t\tname\teast\tnorth", "0\t8\t4\t-2", *rows, "4\t8\t4\t-2"]))
     shown = {
         "scene.html": ("--scenes", "s.json", "--scene", "b"),
-        "recording.html": ("--recording", "r.csv", "--max-gap", "5"),
+        "recording.html": ("--recording", "r.tsv", "--max-gap", "5", "--columns", "time=t,id=name,x=east,y=north"),
     }
     for page, source in shown.items():
         assert main(["view", "paper", *source, "--method", "still", "--record", page]) == 0

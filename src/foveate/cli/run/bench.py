@@ -4,7 +4,7 @@ import sys
 
 from foveate.bench.report import measure, read_ratios, regressions
 from foveate.cli.bench import Bench
-from foveate.cli.common import check_output, print_table
+from foveate.cli.common import check_output, print_tables
 from foveate.errors import InputError
 from foveate.io.validate import check_count
 
@@ -22,8 +22,7 @@ def run(options: Bench) -> int:
     report = measure(options.episodes, options.quick)
     if options.json is not None:
         report.to_json(options.json)
-    table = report.table(before)
-    print_table(table.title, table.header, table.rows)
+    print_tables(report.table(before))
     for line in report.doubts(before):
         print(f"foveate: {line}", file=sys.stderr)
     worse = regressions(report.metrics, report.ratios, before, options.tolerance)

@@ -2,7 +2,7 @@
 
 from foveate.cli.common import check_output
 from foveate.cli.export import Export
-from foveate.deploy.onnx.export import export, inputs_of
+from foveate.deploy.onnx.export import export
 from foveate.errors import InputError
 from foveate.experiment.resolve import load
 
@@ -13,11 +13,10 @@ def run(options: Export) -> int:
         raise InputError(f"{options.out}: expected a name that ends in .onnx")
     check_output(options.out)
     experiment, policy, _ = load(options.run)
-    export(experiment, policy, options.out, options.opset)
-    problem = experiment.scenario.problem()
-    inputs = ", ".join(f"{each.name} {_shape(each.shape)}" for each in inputs_of(policy, problem))
-    axes = ", ".join(problem.agent.space.axes[axis] for axis in problem.agent.axes)
-    print(f"{options.out}: {inputs} -> control {_shape(('b', len(problem.agent.axes)))} = {axes} [m/s, rad/s]")
+    inputs = export(experiment, policy, options.out, options.opset)
+    agent, named = experiment.scenario.problem().agent, [f"{each.name} {_shape(each.shape)}" for each in inputs]
+    axes = ", ".join(agent.space.axes[axis] for axis in agent.axes)
+    print(f"{options.out}: {', '.join(named)} -> control {_shape(('b', len(agent.axes)))} = {axes} [m/s, rad/s]")
     return 0
 
 

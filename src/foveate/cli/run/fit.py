@@ -4,18 +4,24 @@ from foveate import api
 from foveate.cli.common import check_output
 from foveate.cli.fit import Fit
 from foveate.errors import InputError
+from foveate.plotting.fit_report import write_fit_report
+from foveate.recordings.formats import load_recording
 
 
 def run(options: Fit) -> int:
     """Fit, print the statistics, write the experiment."""
-    check_output(options.out, options.recording)
-    if options.out.exists():
-        raise InputError(f"{options.out}: exists already: choose another --out")
+    check_output(options.out, *options.recording)
+    check_output(options.report, *options.recording, options.out)
+    if options.out.exists() and not options.force:
+        raise InputError(f"{options.out}: exists already: choose another --out, or replace it with --force")
+    recording = load_recording(options.recording, **options.reading())
     fitted = api.fit(
-        options.recording,
+        recording,
         start=options.start,
         end=options.end,
+        split=options.split,
         max_gap=options.max_gap,
+        max_speed=options.max_speed,
         v_max=options.v_max,
         w_max=options.w_max,
         view_depth=options.view_depth,
@@ -26,5 +32,9 @@ def run(options: Fit) -> int:
     )
     print(fitted)
     fitted.save(options.out)
+    if options.report is not None:
+        write_fit_report(fitted, options.report, options.max_speed)
+        print(f"{options.report}: the report")
     print(f"{options.out}: written; next  foveate train --config {options.out}")
+    print("which ends with a verdict: the policy beside every heuristic and a planner")
     return 0

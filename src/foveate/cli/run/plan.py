@@ -1,7 +1,7 @@
 """Work of `foveate plan`."""
 
 from foveate import api
-from foveate.cli.common import check_output, print_table
+from foveate.cli.common import check_output, print_tables
 from foveate.cli.plan import Plan
 from foveate.errors import InputError
 
@@ -26,7 +26,7 @@ def run(options: Plan) -> int:
         seed=options.seed,
         scene_seed=options.scene_seed,
     )
-    print_table(evaluation.table.title, evaluation.table.header, evaluation.table.rows)
+    print_tables(*evaluation.tables, wide=options.wide)
     if options.json is not None:
         evaluation.to_json(options.json)
     return 0

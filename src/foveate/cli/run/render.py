@@ -17,6 +17,8 @@ def run(options: Render) -> int:
         protocol=options.protocol,
         seed=options.seed,
         scene_seed=options.scene_seed,
+        width=options.width,
+        dpi=options.dpi,
     )
     print(f"{options.out}: {', '.join(drawn)}")
     return 0

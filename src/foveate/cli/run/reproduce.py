@@ -1,48 +1,82 @@
 """Work of `foveate reproduce`."""
 
 import importlib.util
-import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from foveate.cli.common import check_seed, print_table
+from foveate.cli.common import check_output, check_seed, print_tables
 from foveate.cli.reproduce import Reproduce
 from foveate.errors import InputError
+from foveate.io.files import write_atomic
 from foveate.io.progress import Bar
+from foveate.study import world_results
 from foveate.study.comparison import Comparison
 from foveate.study.methods import Method
-from foveate.study.publish import heading, publish
+from foveate.study.publish import DATA, heading, publish
 from foveate.study.run import jobs, reproduce
 from foveate.study.study import Study, paper_study, true_view_study
 from foveate.study.tables import consistency, differences, scores
-
-INTERVALS_WIDTH = 175
-"""Terminal columns from which tables show intervals."""
+from foveate.study.worlds import WORLDS, reproduce_worlds, world_jobs, worlds_at, worlds_study
 
 
 def run(options: Reproduce) -> int:
     """Do the remaining jobs, write the files, print the tables."""
-    study, out = _study(options), options.folder
+    out = options.folder
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is no folder: choose another place")
-    total = len(jobs(study, out))
-    with Bar(f"reproducing {options.suite}", total, "jobs") as bar:
-        try:
-            results = reproduce(study, out, bar.update, bar.say)
-            bar.update(total, "tables and figures")
-            comparisons = publish(study, out, results)
-        except KeyboardInterrupt:
-            bar.say(f"interrupted: finished jobs are kept in {out}; the same command resumes")
-            raise
-    _print(study, comparisons)
-    print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file() and path.suffix))}")
-    return 0
-
-
-def _study(options: Reproduce) -> Study:
+    check_output(options.json)
     for seed in options.seeds or ():
         check_seed(seed, "--seeds")
     check_seed(options.scene_seed, "--scene-seed")
+    data = _worlds(options, out) if options.suite == "worlds" else _comparison(options, out)
+    print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file() and path.suffix))}")
+    if options.json is not None:
+        write_atomic(options.json, data.read_bytes())
+    return 0
+
+
+def _comparison(options: Reproduce, out: Path) -> Path:
+    """Compare methods; return the file of the results."""
+    study = _study(options)
+    total = len(jobs(study, out))
+    with _progress(options, out, total) as bar:
+        results = reproduce(study, out, bar.update, bar.say)
+        bar.update(total, "tables and figures")
+        comparisons = publish(study, out, results)
+    _print(study, comparisons)
+    return out / DATA
+
+
+def _worlds(options: Reproduce, out: Path) -> Path:
+    """Train and judge in every world; return the file of the results."""
+    if options.add:
+        raise InputError(f"--add {options.add[0]}: expected another suite: methods are not added to worlds")
+    changes = {} if options.seeds is None else {"seeds": options.seeds}
+    worlds = worlds_at(options.worlds or WORLDS, options.only)
+    study = worlds_study(worlds, options.quick, scene_seed=options.scene_seed, **changes)
+    with _progress(options, out, len(world_jobs(study, out))) as bar:
+        scored, trained = reproduce_worlds(study, out, bar.update, bar.say)
+    print(world_results.heading(study))
+    print_tables(*world_results.publish_worlds(study, out, world_results.world_results(study, scored, trained)))
+    return out / world_results.DATA
+
+
+@contextmanager
+def _progress(options: Reproduce, out: Path, total: int) -> Iterator[Bar]:
+    """A progress bar of jobs; an interrupt prints how to continue."""
+    with Bar(f"reproducing {options.suite}", total, "jobs") as bar:
+        try:
+            yield bar
+        except KeyboardInterrupt:
+            bar.say(f"interrupted: finished jobs are kept in {out}; the same command resumes")
+            raise
+
+
+def _study(options: Reproduce) -> Study:
+    if options.worlds is not None or options.only:
+        raise InputError("--worlds and --only: expected --suite worlds beside them")
     changes = {} if options.seeds is None else {"seeds": options.seeds}
     methods = tuple(method for place in options.add for method in _methods_at(place))
     make = true_view_study if options.suite == "true-view" else paper_study
@@ -73,13 +107,5 @@ def _methods_at(place: str) -> list[Method]:
 
 def _print(study: Study, comparisons: list[Comparison]) -> None:
     print(heading(study))
-    is_wide = not sys.stdout.isatty() or shutil.get_terminal_size().columns >= INTERVALS_WIDTH
     kinds = (scores, consistency) if study.suite == "true-view" else (scores, differences)
-    for table in (kind(one, protocol) for one in comparisons for protocol in study.protocols for kind in kinds):
-        rows = table.rows if is_wide else [[_mean_alone(cell) for cell in row] for row in table.rows]
-        print_table(table.title, table.header, rows)
-        print(table.note)
-
-
-def _mean_alone(cell: str) -> str:
-    return cell.partition(" ±")[0].partition(" [")[0]
+    print_tables(*(kind(one, protocol) for one in comparisons for protocol in study.protocols for kind in kinds))

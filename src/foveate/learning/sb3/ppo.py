@@ -45,8 +45,8 @@ class _Validator:
         problem = experiment.scenario.problem()
         # The JAX learners hold out the same scenes for the same seed.
         _, scenes_key, _, key = jax.random.split(jax.random.key(files.seed), 4)
-        episodes = held_out_episodes(experiment, problem, scenes_key)
-        score_of = eqx.filter_jit(lambda policy, episodes: validate(experiment, problem, policy, episodes, key))
+        episodes = held_out_episodes(experiment, scenes_key)
+        score_of = eqx.filter_jit(lambda policy, episodes: validate(experiment, policy, episodes, key))
         self.problem, self.score_of = problem, lambda policy: score_of(policy, episodes)
         self.files, self.events, self.on_validation = files, events, on_validation
         self.best_score, self.best_epoch, self.epoch, self.stop_reason = -math.inf, 0, 0, ""

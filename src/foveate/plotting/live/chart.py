@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from foveate.io.figures import BLACK, GREY
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
 from foveate.plotting.live.scene import add_line, segments, set_segments
-from foveate.plotting.scene import BLACK, GREY
 
-LEGEND = "beliefs (95 %): green, thick: seen now; orange, thin: not seen now; black: where targets really are"
+LEGEND = "beliefs (95 %): green, thick: detected; orange, thin: not detected; black: true targets"
+CURVES = "log det of information [nat]: each target (grey), their mean (black)"
 MAX_CURVES = 20
 """With more targets, only the mean is drawn."""
 
@@ -17,9 +18,15 @@ TICKS = 4
 
 
 def curves(data: EpisodeData) -> Float[np.ndarray, "steps curves"]:
-    """Mean log det after each step [nat], then that of each target; NaN where none is present."""
-    each = data.log_det_present if data.targets <= MAX_CURVES else np.zeros((data.steps, 0))
-    return np.column_stack([data.mean_log_det, each])
+    """Mean log det after each step [nat], then that of each target; the last mean where none is present.
+
+    Where targets come and go there is the mean alone: an end of a curve would look like a loss of all information.
+    """
+    mean = data.mean_log_det
+    present = np.maximum.accumulate(np.where(np.isfinite(mean), np.arange(data.steps), -1))
+    held = np.where(present >= 0, mean[present], np.nan)
+    each = data.log_det_present if data.targets <= MAX_CURVES and data.present.all() else np.zeros((data.steps, 0))
+    return np.column_stack([held, each])
 
 
 def facts(data: EpisodeData, moment: int) -> dict[str, str]:
@@ -56,11 +63,8 @@ class SceneChart:
             share = i / (TICKS - 1)
             value, position = low + share * (high - low), corner + np.array([0, 0, share * height])
             scene.add_label(f"/chart/{i}", f"{value:.1f}", position=position, anchor="center-right", **text)
-        unit = "log det of information of each target, and their mean (black) [nat], over time"
         text["font_scene_height"] = 0.03 * width
-        for i, line in enumerate((unit, LEGEND)):
-            below = corner + np.array([0, 0, -(0.02 + 0.045 * i) * width])
-            scene.add_label(f"/chart/text/{i}", line, position=below, **text)
+        scene.add_label("/chart/text", CURVES, position=corner + np.array([0, 0, -0.02 * width]), **text)
         self._each, self._mean = add_line(scene, "/chart/each", GREY, 1.5), add_line(scene, "/chart/mean", BLACK, 3.0)
         text |= {"position": corner + np.array([0, 0, 1.12 * height]), "anchor": "bottom-left"}
         self._label = scene.add_label("/chart/facts", "", **text)

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from foveate.errors import InputError
+from foveate.io.figures import BLACK, GREY
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
-from foveate.plotting.live.chart import LEGEND, curves, facts
+from foveate.plotting.live.chart import CURVES, LEGEND, curves, facts
 from foveate.plotting.live.scene import LiveScene, aim_cameras
-from foveate.plotting.scene import BLACK, CYCLE, describe
+from foveate.plotting.scene import describe
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 25.0, 50.0)
 SHORT_S = 60.0
@@ -56,6 +58,15 @@ class Player:
         self._title, self._facts = gui.add_markdown(""), gui.add_markdown("")
         gui.add_markdown(f"*{LEGEND}*")
         self._chart: Any = None
+        for handle, choices in (
+            (self._scene, source.scenes),
+            (self._method, source.methods),
+            (self._speed, [f"{speed:g}" for speed in SPEEDS]),
+            (steps, ("back", "ahead")),
+        ):
+            self._offer(handle, lambda value, choices=choices: isinstance(value, str) and value in choices)
+        self._offer(self._play, lambda value: isinstance(value, bool))
+        self._offer(self._step, lambda value: type(value) in (int, float) and 0 <= value <= self._step.max)
 
         @self._step.on_update
         def _(event: Any) -> None:
@@ -65,6 +76,10 @@ class Player:
         @steps.on_click
         def _(event: Any) -> None:
             self._seek(self._moment // SUBSTEPS + (1 if steps.value == "ahead" else -1))
+
+    def _offer(self, handle: Any, is_offered: Callable[[Any], bool]) -> None:
+        """Take only these values of a control from visitors."""
+        self._server.offers[handle._impl.uuid] = is_offered
 
     def _seek(self, step: int) -> None:
         """Pause at a step."""
@@ -78,7 +93,14 @@ class Player:
         """Advance the selected episode by this time [s] multiplied by the speed."""
         selected = self._scene.value, self._method.value
         if selected != self._shown:
-            self._load(*selected)
+            try:
+                self._load(*selected)
+            except InputError as error:
+                if self._shown is None:
+                    raise
+                # What one visitor has chosen cannot be shown: all stay at what was shown before.
+                self._title.content, (self._scene.value, self._method.value) = plain(str(error)), self._shown
+                selected = self._shown
         data = self._episodes[selected]
         with self._lock:
             end = float(data.times_s[-1])
@@ -123,21 +145,22 @@ class Player:
 
 
 def _chart_data(data: EpisodeData, values: np.ndarray, k: int) -> tuple[np.ndarray, ...]:
-    """Times and curves up to step k; the curve of an absent target is below the chart: NaN would be bridged."""
+    """Times and curves up to step k; before the first target the mean is below the chart: NaN would be bridged."""
     low, high = axis_range(values)
     return (data.times_s[1 : k + 1], *np.where(np.isfinite(values[:k]), values[:k], 2 * low - high).T)
 
 
 def _panel_chart(gui: Any, data: EpisodeData, values: np.ndarray) -> Any:
-    """Add a chart of log det of every target's information over time; the mean is black."""
+    """Add a chart of log det of every target's information over time; colours have their meaning in the scene."""
     series = [{"label": "time [s]"}, {"label": "mean", "stroke": BLACK, "width": 3}]
     for i in range(values.shape[1] - 1):
-        series.append({"label": f"target {i + 1}", "stroke": CYCLE[i % (len(CYCLE) - 1)], "width": 1})
+        series.append({"label": f"target {i + 1}", "stroke": GREY, "width": 1})
     return gui.add_uplot(
         _chart_data(data, values, 0),
         tuple(series),
-        title="log det of information [nat]",
+        title=CURVES,
+        axes=({"label": "time [s]"}, {}),
         scales={"x": {"time": False, "range": (0.0, float(data.times_s[-1]))}, "y": {"range": axis_range(values)}},
-        legend={"live": False, "show": bool(data.present.all())},
+        legend={"live": False, "show": False},
         aspect=1.3,
     )

@@ -12,13 +12,18 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from foveate.geometry.numpy_poses import rotation
-from foveate.plotting.ellipsoids import CIRCLE, faces, is_closed, lifted, principal_axes
+from foveate.io.figures import BLACK, GREY, SKY
+from foveate.plotting.ellipsoids import CIRCLE, box_lines, faces, is_closed, lifted, principal_axes
 from foveate.plotting.episode_data import TRAIL_STEPS, EpisodeData, snapshot
-from foveate.plotting.scene import AGENT, BLACK, GREY, SEEN, SKY, UNSEEN
+from foveate.plotting.scene import AGENT, BORDER, SEEN, UNSEEN
 from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
+from foveate.plotting.walls import WALL, loops
 
 LAYER = 0.01
 """Height of a planar layer over the one below, in sizes of the agent: in one plane they would flicker."""
+
+MAX_NAMES = 20
+"""With more targets, none has its number beside it: they would cover the scene."""
 
 NO_SEGMENTS = np.zeros((1, 2, 3))
 """Line of no length: viser accepts no empty one."""
@@ -118,6 +123,8 @@ class LiveScene:
         # Shadows show heights.
         scene.configure_default_lights(cast_shadow=not planar)
         self._floor(extent)
+        if data.walls is not None:
+            add_line(scene, "/walls", WALL, 2.5, np.concatenate([segments(lifted(loop)) for loop in loops(data.walls)]))
         self._agent = scene.add_frame("/agent", show_axes=False)
         view, dart = view_mesh(data), (self.size * DART, np.array(DART_FACES))
         lines = np.concatenate([segments(lifted(line)) for line in data.outline])
@@ -127,7 +134,11 @@ class LiveScene:
         add_line(scene, "/agent/border", AGENT, 1.5, lines)
         scene.add_mesh_simple("/agent/body", *dart, color=color(AGENT), side="double", flat_shading=True)
         self._path, self._trails = add_line(scene, "/path", AGENT, 2.5), add_line(scene, "/trails", GREY, 1.5)
-        self._beliefs, self._borders, self._means, self._targets = [], [], [], []
+        if data.region is not None:
+            add_line(
+                scene, "/region", BORDER, 2.0, np.concatenate([segments(lifted(e)) for e in box_lines(data.region)])
+            )
+        self._beliefs, self._borders, self._means, self._targets, self._names = [], [], [], [], []
         for i in range(data.targets):
             belief = scene.add_mesh_simple(f"/belief/{i}", *unit, opacity=0.35, receive_shadow=False, **glass)
             self._beliefs.append(belief)
@@ -135,13 +146,15 @@ class LiveScene:
             self._means.append(scene.add_icosphere(f"/estimate/{i}", 0.3 * self.size, color=color(SEEN)))
             box = scene.add_box(f"/target/{i}", color=color(BLACK), dimensions=(0.45 * self.size,) * 3)
             self._targets.append(box)
+            if data.targets <= MAX_NAMES:
+                self._names.append(scene.add_label(f"/name/{i}", "", anchor="bottom-left"))
 
     def _floor(self, extent: float) -> None:
-        """Add the floor: a grid of 2 to 20 cells across, whose side is a power of ten [m]."""
+        """Add the floor, as large as the scene: a grid of 2 to 20 cells across, whose side is a power of ten [m]."""
         middle = self.box.mean(axis=0)
         floor = (middle[0], middle[1], self.box[0, 2] - 0.001 * extent)
         cell = 10.0 ** np.floor(np.log10(extent / 2))
-        width, height = (float(side) for side in np.ceil(np.ptp(self.box[:, :2], axis=0) / cell + 1) * cell)
+        width, height = (float(side) for side in np.ceil(5 * np.ptp(self.box[:, :2], axis=0) / cell + 1) * cell / 5)
         style: dict[str, Any] = {"cell_color": (225, 225, 225), "section_color": (190, 190, 190), "plane": "xy"}
         self._scene.add_grid("/floor", width, height, position=floor, cell_size=cell / 5, section_size=cell, **style)
 
@@ -164,7 +177,7 @@ class LiveScene:
         mean, truth = lifted(state.estimate, 4 * layer), lifted(state.truth, 5 * layer)
         for i in range(self.data.targets):
             belief, border, estimate, target = self._beliefs[i], self._borders[i], self._means[i], self._targets[i]
-            for each in (belief, border, estimate, target):
+            for each in (belief, border, estimate, target, *self._names[i : i + 1]):
                 each.visible = i < len(truth)
             if i >= len(truth):
                 continue
@@ -176,6 +189,8 @@ class LiveScene:
             # For colour-blind readers beliefs differ in thickness, too.
             border.thickness = 4.0 if state.seen[i] else 1.5
             estimate.position, target.position = mean[i], truth[i]
+            for name in self._names[i : i + 1]:
+                name.position, name.text = truth[i], f"{state.columns[i] + 1}"
 
 
 def aim_cameras(server: Any, scene: LiveScene) -> None:

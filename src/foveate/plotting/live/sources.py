@@ -16,8 +16,9 @@ from foveate.plotting.live.player import EpisodeSource
 from foveate.plotting.replay import replay_data
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.plausibility import warnings_for
-from foveate.recordings.recording import Recording
-from foveate.recordings.replay import default_agent_start, drive, prepare_replay
+from foveate.recordings.recording import Recording, moved
+from foveate.recordings.replay import drive, prepare_replay
+from foveate.recordings.starts import default_agent_start
 from foveate.scenario.scenes import Scene
 
 
@@ -57,6 +58,7 @@ def recorded(
 ) -> tuple[EpisodeSource, list[str]]:
     """Episodes of a recording, begun in its middle, and warnings about it."""
     scenario, scenes = subject.experiment.scenario, (Path(recording.name).name,)
+    recording = moved(recording, scenario.origin)
     gap_s = default_max_gap_s(recording) if max_gap is None else max_gap
     box_world = jnp.asarray(np.stack(recording.extent), float)
     ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario), gap_s, seed)

@@ -1,0 +1,146 @@
+"""Check that no agent enters an obstacle, and measure what obstacles cost.
+
+    python experiments/obstacles.py [--maps 100] [--episodes 500] [--steps 100]
+    python experiments/obstacles.py --cost
+
+The first form plays random actions and heuristics over random maps with a robot that is fast and turns sharply, and
+looks for every step with shapely whether the arc that the agent went, or a target, came too near to an obstacle. The
+second times a step of 1024 environments with a map of 256 x 256 cells and 32 rays each, over one without.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import shapely
+
+from foveate.geometry.shapes import Shape
+from foveate.geometry.sight import fan
+from foveate.planning.named import heuristic_policy
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.random_obstacles import CircleObstacles, RoomObstacles, StreetObstacles
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.starts import start_box
+from foveate.simulation.environment import Environment, reset, step
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import TRUE
+from foveate.simulation.rollout import rollout
+
+HALL = SceneSettings(
+    targets_min=3, targets_max=6, half_side_m=(12.0, 12.0), half_side_per_target_m=0.0, agent_spread=1.0
+)
+ROBOT = DifferentialDrive(v_min_m_s=-2.0, v_max_m_s=8.0, w_max_rad_s=3.0)
+KINDS = {"circles": CircleObstacles, "rooms": RoomObstacles, "streets": StreetObstacles}
+METHODS = ("random", "nearest", "price")
+ARC_POINTS, BATCH, TOLERANCE_M = 33, 100, 0.01
+ENVIRONMENTS, RAYS, RANGE_M = 1024, 32, 8.0
+
+
+def geometry(shape: Shape) -> shapely.Geometry:
+    """A shape as shapely has it."""
+    if len(shape.corners) == 1:
+        return shapely.Point(shape.corners[0]).buffer(shape.radius, 64)
+    return shapely.Polygon(shape.corners)
+
+
+def trees(obstacles, box) -> list[shapely.STRtree]:
+    """The obstacles of every training map, drawn as the scenario draws them."""
+    low, high = np.array(box)
+    rngs = [np.random.default_rng([obstacles.seed, False, number]) for number in range(obstacles.maps)]
+    return [shapely.STRtree([geometry(shape) for shape in obstacles.shapes_in(rng, low, high)]) for rng in rngs]
+
+
+def check(kind: str, method: str, maps: int, episodes: int, steps: int) -> None:
+    """Play, and print the numbers of steps, contacts, and violations of agent and targets."""
+    obstacles = KINDS[kind](maps=maps, test_maps=0)
+    scenario = Scenario(agent=ROBOT, scenes=replace(HALL, steps=steps), obstacles=obstacles)
+    problem, forest = scenario.problem(), trees(obstacles, start_box(scenario.scenes, None))
+    policy = heuristic_policy(method, problem, float(scenario.view.depth_m))
+
+    def arc(pose, action, after):
+        """Places on the way of a step, up to where the agent really came."""
+        twist, space = problem.tau * problem.agent.twist(action), problem.agent.space
+        share = jnp.linspace(0.0, 1.0, 8 * (ARC_POINTS - 1) + 1)
+        places = jax.vmap(lambda s: space.position(space.move(pose, s * twist)))(share)
+        end = share[jnp.argmin(jnp.sum((places - after[:2]) ** 2, axis=-1))]
+        way = jax.vmap(lambda s: space.position(space.move(pose, s * end * twist)))(share[::8])
+        return way.at[-1].set(after[:2])
+
+    @eqx.filter_jit
+    def play(problem, policy, keys):
+        def run(key):
+            episode = training_episode(problem, scenario.scenes, key, noise=True)
+            trace = rollout(problem, policy, episode, TRUE, key)
+            ways = jax.vmap(arc)(trace.pose[:-1], trace.action, trace.pose[1:])
+            return episode.map_number, ways, trace.contacts[-1], episode.truth.state[1:, :, :2], episode.present
+
+        return jax.vmap(run)(keys)
+
+    entered = inside = contacts = 0
+    for first in range(0, episodes, BATCH):
+        keys = jax.random.split(jax.random.key(first), BATCH)
+        numbers, ways, touched, targets, present = map(np.asarray, play(problem, policy, keys))
+        contacts += touched.sum()
+        for number, lines, places, real in zip(numbers, ways, targets, present, strict=True):
+            near = {"predicate": "dwithin", "distance": obstacles.robot_radius_m - TOLERANCE_M}
+            entered += len(np.unique(forest[number].query(shapely.linestrings(lines), **near)[0]))
+            points = shapely.points(places[:, real].reshape(-1, 2))
+            inside += len(np.unique(forest[number].query(points, predicate="intersects")[0]))
+    total = -(-episodes // BATCH) * BATCH * steps
+    print(
+        f"{kind:8} {method:8} {total:9} steps, {contacts:8} contacts; in obstacles {entered:4} ways, {inside:4} targets"
+    )
+
+
+def cost(repeats: int = 40) -> None:
+    """Time a step in microseconds an environment, without obstacles and with them, in turn."""
+    walls = RoomObstacles(maps=1, test_maps=0, resolution_m=26.0 / 256)
+    bare = Scenario(scenes=HALL)
+    rays = jnp.asarray(fan(RAYS, 2), jnp.float32)
+    calls = []
+    for scenario in (bare, replace(bare, obstacles=walls)):
+        environment = Environment(scenario.problem(), scenario.scenes, TRUE, True)
+        keys = jax.random.split(jax.random.key(0), ENVIRONMENTS)
+        states = eqx.filter_jit(lambda keys, e=environment: jax.vmap(lambda key: reset(e, key))(keys))(keys)
+
+        def one(environment, state, action):
+            after, made = step(environment, state, action)
+            obstacles, pose = environment.problem.obstacles, after.predicted.pose
+            if obstacles is None:
+                return made.reward, after.predicted.mean
+            space = environment.problem.agent.space
+            return made.reward, after.predicted.mean, obstacles.ranges(space, pose, rays, RANGE_M)
+
+        run = eqx.filter_jit(lambda e, s, a, one=one: jax.vmap(one, (None, 0, 0))(e, s, a))
+        actions = jax.random.uniform(jax.random.key(1), (ENVIRONMENTS, 2), minval=-1.0)
+        calls.append(lambda run=run, e=environment, s=states, a=actions: jax.block_until_ready(run(e, s, a)))
+    times = np.zeros((repeats, 2))
+    for row in range(-3, repeats):  # the first ones compile, and are overwritten
+        for i, call in enumerate(calls):
+            start = time.perf_counter()
+            call()
+            times[row, i] = time.perf_counter() - start
+    # The least: other programs on the machine only add to it.
+    without, with_ = 1e6 * times.min(axis=0) / ENVIRONMENTS
+    print(
+        f"a step: {without:.2f} us without, {with_:.2f} us with obstacles and {RAYS} rays: {with_ / without:.2f} times"
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cost", action="store_true")
+    for name, default in (("maps", 100), ("episodes", 500), ("steps", 100)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    options = parser.parse_args()
+    if options.cost:
+        cost()
+    else:
+        for kind in KINDS:
+            for method in METHODS:
+                check(kind, method, options.maps, options.episodes, options.steps)

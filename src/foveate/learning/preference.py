@@ -1,0 +1,24 @@
+"""The first preference among targets: that of the heuristic which does best, so that training can only add."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from foveate.learning.devices import from_first_process
+from foveate.policies.pointer import PREFERENCE, PointerPolicy
+from foveate.simulation.records import Policy
+
+PREFERENCES = (PREFERENCE, (1.0, 0.0), (1.0, 1.0), (1.0, 2.0), (0.3, 1.0), (0.05, 1.0))
+"""Losses of log weight for a nat of log det, and for a step until a target is in view; the first one wins ties.
+
+They lead from the most uncertain target to the nearest.
+"""
+
+
+def best_preference(policy: PointerPolicy, score_of: Callable[[Policy], jax.Array]) -> PointerPolicy:
+    """The untrained policy with the preference of the highest score."""
+    candidates = [replace(policy, preference=jnp.array(each)) for each in PREFERENCES]
+    scores = from_first_process(*(float(score_of(each)) for each in candidates))
+    return candidates[scores.index(max(scores))]

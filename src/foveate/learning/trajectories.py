@@ -1,0 +1,223 @@
+"""Trajectories of the actor-critic: windows of full noisy episodes, with their rewards and advantages.
+
+Short episodes are played whole, new ones in every iteration. Long ones are played by windows, each from the state that
+the policy has reached in the window before, with the critic's value of what comes after.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, UInt32
+
+from foveate.experiment.learners import ActorCriticSettings, Objective
+from foveate.geometry.linalg import log_det_spd
+from foveate.learning.learner import step_scores
+from foveate.learning.worlds import World
+from foveate.models.problem import Problem
+from foveate.models.robot import Robot
+from foveate.policies.pointer import Modes, PointerPolicy, command
+from foveate.policies.tokens import Tokens
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.records import Episode, Protocol, State, observe, per_target
+from foveate.simulation.rollout import Outcome, simulate
+from foveate.simulation.step import predict, start
+from foveate.types import Count, Key, Scalar
+
+
+class Ongoing(eqx.Module):
+    """Episodes in progress: the key that an episode is made of, and the state that the policy has reached in it."""
+
+    key_data: UInt32[Array, "*b words"]
+    state: State
+    ends: Count
+    """Step at which the episode ends; for the first ones earlier than their horizon, so that not all end at once."""
+
+    @property
+    def key(self) -> Key:
+        """The key of one episode."""
+        return jax.random.wrap_key_data(self.key_data)
+
+
+class Trajectory(NamedTuple):
+    """Every step of a window; `counts` marks those before the end of the episode, `ends` its last step.
+
+    `tokens` has one more, after the last step.
+    """
+
+    tokens: Tokens
+    action: Float[Array, "K n_u"]
+    log_density: Float[Array, " K"]
+    reward: Float[Array, " K"]
+    counts: Bool[Array, " K"]
+    ends: Bool[Array, " K"]
+
+
+def window_steps(scenes: SceneSettings, settings: ActorCriticSettings) -> int:
+    """Steps of a window: those of the longest episode, or an equal part of them of at most `settings.window` steps."""
+    longest = scenes.horizon(scenes.targets_max)
+    return math.ceil(longest / math.ceil(longest / settings.window))
+
+
+def plays_whole(scenes: SceneSettings, settings: ActorCriticSettings) -> bool:
+    """True if every episode fits into a window."""
+    return window_steps(scenes, settings) == scenes.horizon(scenes.targets_max)
+
+
+def begin_ongoing(world: World, settings: ActorCriticSettings, key: Key) -> Ongoing | None:
+    """The first episodes of a training by windows; None where episodes are played whole."""
+    scenes = world.scenes
+    if plays_whole(scenes, settings):
+        return None
+    length, count = window_steps(scenes, settings), settings.trajectories(scenes)
+    keys = jax.random.split(key, count)
+    parts = math.ceil(scenes.horizon(scenes.targets_max) / length)
+
+    def begin(key, i):
+        problem, episode = world.drawn(key)
+        ends = jnp.minimum(episode.horizon, (1 + i % parts) * length)
+        return Ongoing(jax.random.key_data(key), start(problem, episode, settings.protocol_of(0)), ends)
+
+    return jax.jit(jax.vmap(begin))(keys, jnp.arange(count))
+
+
+def cut(episode: Episode, first: Count, steps: int) -> Episode:
+    """Steps `first` .. `first` + `steps` - 1 of an episode, which are still counted from its start.
+
+    It has one more input, which the agent knows when it decides the step after them; beyond the end all is as at last.
+    """
+
+    def part(x, more: int = 0):
+        return jax.lax.dynamic_slice_in_dim(x, first, steps + more)
+
+    def whole(x):
+        return jnp.concatenate([x, jnp.repeat(x[-1:], steps, axis=0)])
+
+    episode = replace(
+        episode,
+        inputs=whole(episode.inputs),
+        truth=jax.tree.map(whole, episode.truth),
+        arrivals=jax.tree.map(whole, episode.arrivals),
+    )
+    assert episode.truth is not None, "training episodes are noisy"
+    truth = replace(
+        episode.truth,
+        state=part(episode.truth.state, 1),
+        measurement_noise=part(episode.truth.measurement_noise),
+    )
+    arrivals = jax.tree.map(lambda x: part(x, 1), episode.arrivals)
+    return replace(episode, inputs=part(episode.inputs, 1), truth=truth, arrivals=arrivals)
+
+
+def log_density(modes: Modes, action: Float[Array, " n_u"], action_std: Float[Array, " n_u"]) -> Scalar:
+    """log of the mixture's density at an action, up to a constant that depends on `action_std` only.
+
+    Axes with a standard deviation of 0, which the robot lacks, are left out.
+    """
+    away = (action - modes.action) / jnp.where(action_std > 0, action_std, jnp.inf)
+    exponent = 0.5 * jnp.sum(away**2, axis=-1)
+    return jax.nn.logsumexp(jax.nn.log_softmax(modes.log_weight) - exponent)
+
+
+def play(
+    problem: Problem,
+    policy: PointerPolicy,
+    episode: Episode,
+    protocol: Protocol,
+    objective: Objective,
+    action_std: Scalar,
+    key: Key,
+    state: State,
+    ends: Count,
+    discounted: bool,
+    whole: bool,
+) -> tuple[Trajectory, State]:
+    """Play the steps of an episode, or of a part of it, from a state; return them and the state after the last.
+
+    Each action is sampled from a Gaussian about that of a mode, sampled by its weight. `action_std` is in units of the
+    view.
+    """
+    assert episode.truth is not None, "training episodes are noisy"
+    following = episode.inputs[-1]
+    episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
+
+    def decide(observation, memory, key):
+        mode_key, noise_key = jax.random.split(key)
+        tokens = policy.tokens(observation)
+        modes = policy.modes(tokens)
+        mean = modes.action[jax.random.categorical(mode_key, modes.log_weight)]
+        std = action_std * tokens.unit
+        action = mean + std * jax.random.normal(noise_key, mean.shape)
+        # The density is that of the sampled action, before the agent clips it.
+        return command(observation, action), memory, (tokens, action, log_density(modes, action, std))
+
+    def record(done: Outcome):
+        return done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured, done.state
+
+    notes, log_det, visible, states = simulate(problem, decide, episode, protocol, key, record, state=state)
+    tokens, action, density = notes
+    last: State = jax.tree.map(lambda x: x[-1], states)
+    predicted = predict(problem, last, following)
+    after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(problem.of_map(episode.map_number))))
+    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
+    first = per_target(jnp.mean(log_det_spd(state.information), axis=0), state.present)
+    reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    step = state.step + jnp.arange(len(reward))
+    counts = step < ends
+    reward = jnp.where(counts, reward, 0.0)
+    return Trajectory(tokens, action, density, reward, counts, step == ends - 1), last
+
+
+def rewards(
+    log_det: Float[Array, "K n"],
+    visible: Bool[Array, "K n"],
+    first: Scalar,
+    episode: Episode,
+    objective: Objective,
+    discounted: bool,
+    whole: bool,
+) -> Float[Array, " K"]:
+    """Rewards of all steps.
+
+    Of `whole` episodes their sum is the objective, with "terminal" less `first`, the log det before the first step
+    [nat]; of windows their mean is. With a discount g they are the growth of log det for "mean" too: sum g^k (s_k+1 -
+    s_k) is (1 - g) sum g^k s_k+1 less a constant, and a critic of the growth need not know what is known already.
+    """
+    scores = step_scores(visible.astype(log_det.dtype) if objective == "seen" else log_det, episode)
+    if objective == "terminal" or (discounted and objective == "mean"):
+        return jnp.diff(scores, prepend=first)
+    return scores / episode.horizon.astype(scores.dtype) if whole else scores
+
+
+def advantages(
+    trajectory: Trajectory, value: Float[Array, " instants"], discount: float, gae_lambda: float
+) -> Float[Array, " K"]:
+    """A_k = delta_k + g lambda A_{k+1}, delta_k = r_k + g V_{k+1} - V_k, 0 after the end (Schulman 2016).
+
+    Without a discount the value after the end of an episode is 0: time is up. With one, the end is where we stopped
+    looking, and watching would have continued.
+    """
+    is_last = trajectory.ends
+    worth = jnp.where(is_last, 0.0, value[1:]) if discount == 1.0 else value[1:]
+    delta = trajectory.reward + discount * worth - value[:-1]
+
+    def step(following, inputs):
+        delta, count, last = inputs
+        kept = jnp.where(last, 0.0, following)
+        advantage = jnp.where(count, delta + discount * gae_lambda * kept, 0.0)
+        return advantage, advantage
+
+    parts = (delta, trajectory.counts, is_last)
+    return jax.lax.scan(step, jnp.zeros_like(value[0]), parts, reverse=True)[1]
+
+
+def continued(world: World, protocol: Protocol, one: Ongoing, last: State, new_key: Key) -> Ongoing:
+    """The episode where it has come to, or a new one after its end."""
+    problem, fresh = world.drawn(new_key)
+    over = last.step >= one.ends
+    after = Ongoing(one.key_data, last, one.ends)
+    begun = Ongoing(jax.random.key_data(new_key), start(problem, fresh, protocol), fresh.horizon)
+    return jax.tree.map(lambda new, old: jnp.where(over, new, old), begun, after)

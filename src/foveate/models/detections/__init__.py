@@ -1,0 +1,1 @@
+"""Targets unknown in number, missed detections and false alarms: the Poisson multi-Bernoulli filter."""

@@ -1,0 +1,104 @@
+"""What rounding does to beliefs about targets that stay unseen for long, told before an episode."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from foveate.io.progress import logger
+from foveate.models.problem import Problem
+
+TOLERATED_NAT = 0.05
+"""Error of a log det that is said nothing about: a twentieth of what tells policies apart."""
+Matrix = Float[np.ndarray, "n_y n_y"]
+
+
+class _Motion(NamedTuple):
+    """Motion over some steps: P becomes A P A^T + W."""
+
+    A: Matrix
+    W: Matrix
+
+    def of(self, covariance: Matrix) -> Matrix:
+        return self.A @ covariance @ self.A.T + self.W
+
+    def after(self, first: "_Motion") -> "_Motion":
+        return _Motion(self.A @ first.A, self.of(first.W))
+
+
+def warn_of_rounding(problem: Problem, steps: int) -> None:
+    """Log a warning if beliefs about targets unseen for up to `steps` lose digits that matter in this precision."""
+    lost_nat, unseen = rounding_error(problem, steps)
+    if lost_nat <= TOLERATED_NAT:
+        return
+    name = str(problem.motion.A.dtype)
+    how = f"may be off by some {lost_nat:.1g} nat" if lost_nat < 1.0 else "are wrong or not finite"
+    remedy = "; JAX_ENABLE_X64=1 computes in float64" if name == "float32" else ""
+    logger.warning(f"{name} has too few digits for these targets: scores {how} where one is unseen for {unseen} "
+                   f"steps and then seen{remedy}")  # fmt: skip
+
+
+def rounding_error(problem: Problem, steps: int) -> tuple[float, int]:
+    """Estimate the error [nat] of log det where a target is detected after having been unseen, and the worst time.
+
+    It is the resolution of the numbers times the condition of the predicted correlations (scales of the axes cost no
+    digits), after a detection following 1, 2, 4, .. `steps` steps unseen, each rounded up to whole periods of a
+    schedule. Only the order of magnitude is meant: in simulated episodes errors are a third to three times as large.
+
+    Returns:
+        Error [nat], infinite where the condition is beyond float64, and the number of steps unseen.
+    """
+    period, H = problem.period, np.asarray(problem.sensor.H, float)
+    motions = [_Motion(*map(np.asarray, each)) for each in zip(*_floats(period.motion.A, period.motion.W), strict=True)]
+    noises = _floats(period.V)[0]
+    first = np.linalg.inv(np.asarray(problem.prior_information, float))
+    resolution = float(np.finfo(np.asarray(problem.motion.A).dtype).eps)
+    worst = 0.0, 0
+    for unseen, covariance in _unseen(first, motions, steps):
+        seen = _detected(covariance, H, noises[unseen % len(noises) - 1])
+        predicted = motions[unseen % len(motions)].of(seen)
+        error = resolution * max(_condition(covariance), _condition(predicted))
+        worst = max(worst, (error, unseen))
+    return worst
+
+
+def _floats(*arrays: object) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(array, float) for array in arrays)
+
+
+def _unseen(first: Matrix, motions: list[_Motion], steps: int) -> Iterator[tuple[int, Matrix]]:
+    """Covariances after so many steps without a detection: each of the first period, then twice as many, to the end."""
+    covariance = first
+    for k, motion in enumerate(motions[:steps], start=1):
+        covariance = motion.of(covariance)
+        yield k, covariance
+    whole = motions[0]
+    for motion in motions[1:]:
+        whole = motion.after(whole)
+    powers = [whole]  # of 1, 2, 4, .. periods
+    while len(motions) << len(powers) <= steps:
+        powers.append(powers[-1].after(powers[-1]))
+        yield len(motions) << (len(powers) - 1), powers[-1].of(first)
+    periods, covariance = steps // len(motions), first
+    for i, power in enumerate(powers):
+        if periods >> i & 1:
+            covariance = power.of(covariance)
+    if periods:
+        yield periods * len(motions), covariance
+
+
+def _detected(covariance: Matrix, H: np.ndarray, V: np.ndarray) -> Matrix:
+    """Covariance after a detection, in Joseph's form, which stays positive."""
+    gain = np.linalg.solve(H @ covariance @ H.T + V, H @ covariance).T
+    rest = np.eye(len(covariance)) - gain @ H
+    return rest @ covariance @ rest.T + gain @ V @ gain.T
+
+
+def _condition(covariance: Matrix) -> float:
+    """Condition of the correlations; infinite where rounding in float64 hides it."""
+    variances = np.diag(covariance)
+    if not (np.isfinite(covariance).all() and (variances > 0).all()):
+        return np.inf
+    values = np.linalg.eigvalsh(covariance / np.sqrt(np.outer(variances, variances)))
+    return float(values[-1] / values[0]) if values[0] > 0 else np.inf

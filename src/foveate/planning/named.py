@@ -1,0 +1,35 @@
+"""Heuristics by their names, those that simulate their commands among them."""
+
+from jaxtyping import Array, Float
+
+from foveate.errors import InputError
+from foveate.models.problem import Problem
+from foveate.names import HEURISTICS
+from foveate.planning.window import DynamicWindow
+from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
+from foveate.policies.rules import Post, Price
+from foveate.simulation.records import Policy
+
+
+def heuristic_policy(
+    name: str, problem: Problem, depth_m: float, box_world: Float[Array, "2 d"] | None = None
+) -> Policy:
+    """Make the heuristic of a name in JAX; raises InputError for an unknown one.
+
+    Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
+    box that the lawnmower sweeps, and in which the post is; None takes that of the initial beliefs.
+    """
+    # Half the depth keeps a target in the middle of the view, whichever way it moves.
+    policies: dict[str, Policy] = {
+        "random": Random(problem),
+        "still": Still(problem),
+        "nearest": Nearest(problem, 0.5 * depth_m),
+        "uncertain": Uncertain(problem, 0.5 * depth_m),
+        "lawnmower": Lawnmower(problem, 0.0, box_world),
+        "price": Price(problem, 0.5 * depth_m),
+        "window": DynamicWindow(problem, 0.5 * depth_m),
+        "post": Post(problem, depth_m, box_world),
+    }
+    if name not in policies:
+        raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
+    return policies[name]

@@ -1,0 +1,80 @@
+"""A safety filter: any policy, slowed down so that the robot keeps its distance from obstacles."""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.errors import InputError
+from foveate.geometry import sight
+from foveate.models.problem import Problem, along_arc
+from foveate.simulation.records import Observation, Policy
+from foveate.types import Action, Key
+
+TURN_BELOW = 0.05
+"""A robot that may do less than this share of its step turns on the spot as it was told to, and does not move."""
+
+
+class KeepOff(Policy):
+    """Takes the actions of a `policy`, and shortens those whose arc would come too near to an obstacle.
+
+    Guarantee: a robot that begins at least `keep_off_m` and its radius from all obstacles, and the margin of the grid
+    (`geometry.sight.margin`, about a cell), never comes nearer than `keep_off_m` [m] and its radius, at any speed, as
+    long as it executes its commands and the map is right; and so it never touches. The shortened action is a part of
+    the same arc, since all axes are slowed down by one factor; where hardly a step is left the robot only turns.
+
+    Raises InputError for a robot that cannot stand still, or has a set of commands, and for a problem without
+    obstacles.
+    """
+
+    policy: Policy
+    problem: Problem
+    keep_off_m: float = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        agent, is_straight = self.problem.agent, self.problem.bounds_agent or self.problem.keep_off_m is not None
+        if self.problem.obstacles is None:
+            raise InputError("problem.obstacles = None: expected a scenario with obstacles")
+        if not self.keep_off_m >= 0:
+            raise InputError(f"keep_off_m = {self.keep_off_m}: expected >= 0")
+        if agent.commands is not None:
+            raise InputError("agent.commands: expected none, as a command may have no slower one")
+        if is_straight:
+            raise InputError("region.agent: expected 'free', and no scenario.keep_off_m: the way must be the arc")
+        still = (np.asarray(agent.lower) <= 0) & (np.asarray(agent.upper) >= 0)
+        if not still.all():
+            raise InputError("agent: expected limits that allow to stand still, 0 on every axis")
+
+    def start(self, observation: Observation) -> Any:
+        """The memory of the policy."""
+        return self.policy.start(observation)
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """The policy's action, shortened if need be."""
+        action, memory = self.policy(observation, memory, key)
+        return self.shortened(observation.pose, action, observation.step, observation.map_number), memory
+
+    def shortened(self, pose: Any, action: Any, step: Any = 0, map_number: Any = None) -> Action:
+        """The action as far as it is safe, also of a policy outside of foveate, as of an ONNX file.
+
+        Args:
+            pose: Pose of the robot, as in `Observation`.
+            action: Normalised action, a number for each commanded axis.
+            step: Number of the step, which matters with a schedule.
+            map_number: Number of the robot's map; None: the first.
+        """
+        pose, action = jnp.asarray(pose, float), jnp.asarray(action, float)
+        number = None if map_number is None else jnp.asarray(map_number)
+        problem = self.problem.at(jnp.asarray(step)).of_map(number)
+        agent, obstacles = problem.agent, problem.obstacles
+        assert obstacles is not None, "checked when it is made"
+        space, control = agent.space, agent.control(action)
+        displacement = problem.tau * agent.twist(action)
+        length = jnp.sqrt(jnp.maximum(jnp.sum(displacement[: space.dimension] ** 2), 1e-18))
+        way, radius = partial(along_arc, space), obstacles.radius + self.keep_off_m
+        share, touches = sight.share_free(obstacles.grid, way, (pose, displacement), length, radius)
+        turns = jnp.array([axis >= space.dimension for axis in agent.axes])
+        allowed = jnp.where(share > TURN_BELOW, share * control, jnp.where(turns, control, 0.0))
+        return jnp.where(touches, agent.action(allowed), jnp.clip(action, -1.0, 1.0))

@@ -1,0 +1,37 @@
+"""Methods of a replay by their names: the policy, heuristics, and planners in receding horizon."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Array, Float
+
+from foveate.errors import InputError
+from foveate.evaluation.plan import online_planner
+from foveate.experiment.resolve import Subject, methods_of
+from foveate.names import METHODS
+from foveate.simulation.records import Policy
+
+PROTOCOL = "true"
+"""Measurements of a recording are real ones: planners plan for these."""
+
+
+def replay_methods(method: str | Sequence[str]) -> tuple[str, ...]:
+    """Methods' names, each once; "all" are the policy and all heuristics. Raises InputError for an unknown name."""
+    names: list[str] = []
+    for name in [method] if isinstance(method, str) else method:
+        if online_planner(name) is not None:
+            names.append(name)
+        elif name in (*METHODS, "all"):
+            names += methods_of(name)
+        else:
+            planners = "or a planner: icr, icr-STARTS, refine-STEPS"
+            raise InputError(f"method {name!r}: expected one of {', '.join(METHODS)}, all, {planners}")
+    return tuple(dict.fromkeys(names))
+
+
+def method_in(subject: Subject, name: str, box_world: Float[Array, "2 d"], steps: int) -> Policy:
+    """The policy, heuristic or planner of a name, for a replay of this number of steps in a box [m]."""
+    options = online_planner(name)
+    if options is None:
+        return subject.policy(name, box_world)
+    refined = None if options.refine is None else subject.network()
+    return options.planner(subject.experiment.scenario.problem(), PROTOCOL, refined, steps)

@@ -1,0 +1,51 @@
+"""Poses from which a replay starts."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from foveate.errors import InputError
+from foveate.io.validate import check_count
+from foveate.recordings.recording import Recording
+from foveate.scenario.scenario import Scenario
+
+
+def agent_starts(
+    recording: Recording, scenario: Scenario, given: Sequence[float] | None, count: int, seed: int
+) -> list[list[float]]:
+    """The given pose, several random ones, or the middle of the recording. Raises InputError for others."""
+    check_count(count, "starts")
+    if given is None and count > 1:
+        return random_agent_starts(recording, scenario, count, seed)
+    if given is None:
+        return [default_agent_start(recording, scenario)]
+    if count > 1:
+        raise InputError("agent_start and starts: expected one of them")
+    numbers = [float(number) for number in given]
+    try:
+        scenario.agent.agent().space.from_numbers(numbers)
+    except InputError as error:
+        raise InputError(f"agent_start {','.join(f'{number:g}' for number in numbers)}: {error}") from None
+    if recording.origin is not None and not recording.origin.in_degrees:
+        numbers[: recording.dimension] = np.subtract(
+            numbers[: recording.dimension], recording.origin.position_m
+        ).tolist()
+    return [numbers]
+
+
+def default_agent_start(recording: Recording, scenario: Scenario) -> list[float]:
+    """Start in the middle of the recording's extent, heading along x."""
+    lower, upper = recording.extent
+    return _upright(scenario, (lower + upper) / 2, 0.0)
+
+
+def random_agent_starts(recording: Recording, scenario: Scenario, count: int, seed: int) -> list[list[float]]:
+    """Draw starts uniform in the recording's extent, with any heading."""
+    rng = np.random.default_rng([seed, count])
+    return [_upright(scenario, rng.uniform(*recording.extent), rng.uniform(-np.pi, np.pi)) for _ in range(count)]
+
+
+def _upright(scenario: Scenario, position_world: np.ndarray, yaw: float) -> list[float]:
+    space = scenario.agent.agent().space
+    return space.to_numbers(space.upright(jnp.asarray(position_world, float), jnp.asarray(yaw)))

@@ -1,0 +1,115 @@
+"""The estimate of what rounding costs, against episodes in float32 beside the same in float64."""
+
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from foveate.experiment.presets import PRESETS
+from foveate.geometry.linalg import log_det_spd
+from foveate.models.belief import predict_information, update_information
+from foveate.models.precision import _Motion, _unseen, rounding_error, warn_of_rounding
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.target import AccelerationTarget, DriftTarget, LinearTarget, VelocityTarget
+
+
+def in_precision(x64, scenario):
+    with jax.enable_x64(x64):
+        return scenario.problem()
+
+
+def log_dets(scenario, times_unseen, x64):
+    """log det of a target that is unseen for some steps and then seen at every step, for each of these times."""
+    with jax.enable_x64(x64):
+        problem = scenario.problem()
+        gain = problem.sensor.H.T @ jnp.linalg.inv(problem.sensor.V) @ problem.sensor.H
+
+        @jax.jit
+        def seen_after(unseen):
+            def step(information, k):
+                information = predict_information(information, problem.motion)
+                information = update_information(information, gain, (k >= unseen).astype(gain.dtype))
+                return information, log_det_spd(information)
+
+            steps = jnp.arange(max(times_unseen) + 3)
+            found = jax.lax.scan(step, problem.prior_information, steps)[1]
+            return jax.lax.dynamic_slice(found, (unseen,), (3,))
+
+        return np.array([seen_after(unseen) for unseen in times_unseen], float)
+
+
+@pytest.mark.slow
+def test_the_estimate_is_of_the_size_of_the_error_in_float32():
+    scenario, times = Scenario(target=AccelerationTarget()), [100, 200, 300, 500, 1000]
+    wrong = np.abs(log_dets(scenario, times, False) - log_dets(scenario, times, True)).max(axis=1)
+    problem = in_precision(False, scenario)
+    for unseen, error in zip(times, wrong, strict=True):
+        estimate, when = rounding_error(problem, unseen)
+        assert when == unseen, "the longest is the worst"
+        if estimate < 1.0:
+            assert 0.02 * estimate < error < 5 * estimate
+        else:
+            assert np.isnan(error) or error > 0.1
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+@pytest.mark.parametrize("target", [DriftTarget(), VelocityTarget(), VelocityTarget(memory_s=10.0)])
+def test_other_targets_keep_their_digits_for_ten_thousand_steps(target, caplog):
+    scenario = Scenario(target=target)
+    warn_of_rounding(in_precision(False, scenario), 10_000)
+    assert not caplog.records
+    wrong = np.abs(log_dets(scenario, [10_000], False) - log_dets(scenario, [10_000], True)).max()
+    assert wrong < 0.05
+
+
+def test_presets_keep_their_digits():
+    for name, experiment in PRESETS.items():
+        problem, horizon = in_precision(False, experiment.scenario), experiment.scenario.scenes.horizon(8)
+        assert rounding_error(problem, horizon)[0] < 0.01, name
+
+
+@pytest.mark.parametrize(("steps", "said"), [(60, ""), (200, "off by some 0.3 nat"), (2000, "wrong or not finite")])
+def test_one_line_says_it_and_what_to_do(steps, said, caplog):
+    problem = in_precision(False, Scenario(target=AccelerationTarget()))
+    with caplog.at_level(logging.WARNING, "foveate"):
+        warn_of_rounding(problem, steps)
+    assert bool(caplog.records) == bool(said)
+    for record in caplog.records:
+        assert said in record.message
+        assert "float32" in record.message
+        assert "JAX_ENABLE_X64=1" in record.message
+        assert f"unseen for {steps} steps" in record.message
+
+
+def test_float64_has_enough():
+    assert rounding_error(in_precision(True, Scenario(target=AccelerationTarget())), 2000)[0] < 1e-5
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 7, 12, 100])
+def test_times_of_a_schedule_are_those_step_by_step(steps):
+    """The covariance after whole periods, by squaring, is that of the steps one after the other."""
+    rng = np.random.default_rng(0)
+    motions = [_Motion(np.eye(2) + 0.1 * rng.normal(size=(2, 2)), (k + 1) * np.eye(2)) for k in range(3)]
+    expected, covariance = {}, np.eye(2)
+    for k in range(steps):
+        A, W = motions[k % 3]
+        covariance = expected[k + 1] = A @ covariance @ A.T + W
+    found = list(_unseen(np.eye(2), motions, steps))
+    assert {k for k, _ in found} >= {min(steps, 3), steps // 3 * 3 or steps}
+    for k, value in found:
+        np.testing.assert_allclose(value, expected[k], rtol=1e-9)
+
+
+def test_an_ill_conditioned_system_is_told_in_float64_too():
+    """The chain of six integrators, far from a detection of the first: no float64 resolves the last."""
+
+    def rows(array):
+        return tuple(map(tuple, array.tolist()))
+
+    A, B, Z = np.eye(6) + np.eye(6, k=1), np.zeros((6, 2)), np.eye(2, 6)
+    target = LinearTarget(A=rows(A), B=rows(B), W=rows(1e-6 * np.eye(6)), Z=rows(Z), prior=rows(np.eye(6)))
+    scenario = Scenario(target=target)
+    assert rounding_error(in_precision(True, scenario), 10_000)[0] > 0.05

@@ -1,0 +1,112 @@
+"""The safety filter keeps its distance by shapely, at any speed, and changes nothing that is safe already."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+
+from foveate.errors import InputError
+from foveate.policies.heuristics import Nearest, Random
+from foveate.policies.keep_off import KeepOff
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.obstacles import ShapeObstacles
+from foveate.scenario.random_obstacles import CircleObstacles
+from foveate.scenario.region import RegionSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import TRUE
+from foveate.simulation.rollout import rollout
+
+HALL = SceneSettings(
+    targets_min=2, targets_max=3, half_side_m=(8.0, 8.0), half_side_per_target_m=0.0, agent_spread=1.0, steps=40
+)
+CIRCLES = CircleObstacles(density_per_m2=0.06, maps=1, test_maps=0, robot_radius_m=0.2)
+FAST = DifferentialDrive(v_min_m_s=-3.0, v_max_m_s=9.0, w_max_rad_s=3.0)
+SCENARIO = Scenario(agent=FAST, scenes=HALL, obstacles=CIRCLES)
+KEEP_M = 0.3
+
+
+def union() -> shapely.Geometry:
+    rng = np.random.default_rng([0, False, 0])
+    shapes = CIRCLES.shapes_in(rng, np.full(2, -8.0), np.full(2, 8.0))
+    return shapely.union_all([shapely.Point(shape.corners[0]).buffer(shape.radius, 256) for shape in shapes])
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+@pytest.mark.parametrize("wild", [True, False])
+def test_no_way_comes_nearer_than_it_may(wild):
+    """Of episodes that begin far enough away; all whole arcs, as none is ended by a contact."""
+    problem = SCENARIO.problem()
+    policy = KeepOff(Random(problem) if wild else Nearest(problem, 0.5), problem, KEEP_M)
+
+    def run(key):
+        trace = rollout(problem, policy, training_episode(problem, HALL, key, noise=True), TRUE, key)
+        twists = problem.tau * jax.vmap(problem.agent.twist)(trace.action)
+        space, share = problem.agent.space, jnp.linspace(0.0, 1.0, 101)
+        arc = jax.vmap(lambda pose, twist: jax.vmap(lambda s: space.move(pose, s * twist)[:2])(share))
+        return trace.pose, trace.contacts, arc(trace.pose[:-1], twists)
+
+    poses, contacts, arcs = map(np.asarray, jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 24)))
+    walls = union()
+    first = shapely.distance(walls, shapely.points(poses[:, 0, :2]))
+    fit = first > CIRCLES.robot_radius_m + KEEP_M + 0.45
+    assert fit.sum() > 8
+    nearest = shapely.distance(walls, shapely.linestrings(arcs[fit]))
+    assert nearest.min() >= CIRCLES.robot_radius_m + KEEP_M - 1e-3
+    assert not contacts[fit].any()
+    assert np.linalg.norm(np.diff(poses[fit, :, :2], axis=1), axis=-1).mean() > (0.5 if wild else 0.05)
+
+
+def test_a_safe_action_stays_and_one_into_a_wall_is_shortened_or_turned():
+    wall = ShapeObstacles(boxes=((2.0, -6.0, 3.0, 6.0),), robot_radius_m=0.2)
+    problem = replace(SCENARIO, obstacles=wall).problem()
+    safe = KeepOff(Random(problem), problem, KEEP_M)
+    control = problem.agent.control
+
+    def after(x, v, w):
+        action = problem.agent.action(jnp.array([v, w]))
+        return np.asarray(control(safe.shortened(jnp.array([x, 0.0, 0.0]), action)))
+
+    np.testing.assert_allclose(after(-6.0, 4.0, 0.5), [4.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(after(0.0, -3.0, 0.5), [-3.0, 0.5], atol=1e-6)
+    v, w = after(0.0, 9.0, 0.3)
+    assert 1.2 < v < 1.5
+    assert w / v == pytest.approx(0.3 / 9.0, rel=1e-5)
+    np.testing.assert_allclose(after(1.39, 9.0, 2.0), [0.0, 2.0], atol=1e-6)
+
+
+BAD = {
+    "no obstacles": (replace(SCENARIO, obstacles=None), KEEP_M, "problem.obstacles = None"),
+    "negative": (SCENARIO, -1.0, "keep_off_m = -1.0: expected >= 0"),
+    "no number": (SCENARIO, float("nan"), "keep_off_m = nan: expected >= 0"),
+    "always ahead": (
+        replace(SCENARIO, agent=DifferentialDrive(v_min_m_s=1.0)),
+        KEEP_M,
+        "expected limits that allow to stand still",
+    ),
+    "commands": (
+        replace(SCENARIO, agent=DifferentialDrive(commands=((0.0, 0.0), (1.0, 0.0)))),
+        KEEP_M,
+        "agent.commands: expected none",
+    ),
+    "borders": (
+        replace(SCENARIO, region=RegionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))),
+        KEEP_M,
+        "region.agent: expected 'free'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_kept_is_one_line(name):
+    scenario, keep_off_m, words = BAD[name]
+    problem = scenario.problem()
+    with pytest.raises(InputError) as caught:
+        KeepOff(Random(problem), problem, keep_off_m)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,210 @@
+"""The node: by a stand-in of rclpy's interface and rosbags' messages; and, where rclpy is installed, on loopback."""
+
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.ros import PLANE, Watched, detections, odometry
+
+from foveate.errors import InputError
+from foveate.ros import node as module
+from foveate.ros.messages import Messages
+from foveate.ros.node import Driver, main, topic_name
+
+pytest.importorskip("rosbags", reason="message definitions need the extra ros")
+from foveate.recordings.definitions import typestore
+
+STORE = typestore("ros2_humble")
+MAKE = Messages(find=STORE.types.__getitem__)
+
+
+class Node:
+    """What `Driver` uses of rclpy's Node; sends through the bytes of ROS, so that wrong types fail."""
+
+    def __init__(self, **parameters):
+        self.parameters, self.now_s, self.lines = parameters, 100.0, []
+        self.sent, self.subscriptions, self.timers, self.levels = {}, {}, [], {}
+
+    def declare_parameter(self, name, default):
+        return SimpleNamespace(value=self.parameters.get(name, default))
+
+    def create_publisher(self, kind, topic, qos):
+        heard = self.sent.setdefault(topic, [])
+        name = kind.__msgtype__
+
+        def publish(message):
+            heard.append(STORE.deserialize_cdr(STORE.serialize_cdr(message, name), name))
+
+        return SimpleNamespace(publish=publish)
+
+    def create_subscription(self, kind, topic, callback, qos):
+        self.subscriptions[topic] = callback
+
+    def create_timer(self, period_s, callback):
+        self.timers.append((period_s, callback))
+
+    def get_clock(self):
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.now_s * 1e9)))
+
+    def get_logger(self):
+        return SimpleNamespace(info=partial(self.log, "info"), warning=partial(self.log, "warning"))
+
+    def log(self, level, text):
+        """As rclpy, for which a line of the source has one level."""
+        caller = sys._getframe(1)
+        place = (caller.f_code.co_filename, caller.f_lineno)
+        if self.levels.setdefault(place, level) != level:
+            raise ValueError("Logger severity cannot be changed between calls.")
+        self.lines.append((level, text))
+
+
+def find(name):
+    return STORE.types[name]
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    policy = Watched()
+    monkeypatch.setattr(module, "load_model", lambda name: policy.core.model)
+    return policy
+
+
+def test_messages_go_in_and_a_command_and_beliefs_come_out(watched):
+    node = Node(policy="any")
+    driver = Driver(node, find, "qos")
+    assert node.timers == [(0.5, driver.step)]
+    node.subscriptions["odom"](MAKE.odometry(odometry(99.9, (1, 2, 0)), (0.0,) * 6))
+    node.subscriptions["detections"](MAKE.detections(detections(99.95, a=(3, 1, 0))))
+    node.subscriptions["poses"](MAKE.pose_array(MAKE.header(100.0, "odom"), [(5.0, 2.0, 0.0)]))
+    driver.step()
+    (twist,) = node.sent["cmd_vel"]
+    assert (twist.linear.x, twist.angular.z, twist.linear.y) == (1.0, -0.5, 0.0)
+    np.testing.assert_allclose(watched.belief.mean, [[3, 1], [5, 2]], atol=1e-6)
+    for name, x in (("a", 3), ("0", 5)):
+        (belief,) = node.sent[f"beliefs/target_{name}"]
+        assert (belief.header.frame_id, belief.pose.pose.position.x) == ("odom", pytest.approx(x))
+    (markers,) = node.sent["beliefs/markers"]
+    assert {each.ns: each.header.frame_id for each in markers.markers[1:]} == {
+        "beliefs": "odom", "ids": "odom", "view": "base_link",
+    }  # fmt: skip
+    driver.stop()
+    assert node.sent["cmd_vel"][-1].linear.x == 0.0
+    assert [level for level, _ in node.lines] == ["info"]
+
+
+def test_parameters_reach_the_core(watched):
+    node = Node(stamped=True, odometry_timeout_s=0.2, gate=1.0, period_s=0.25, lag_s=2.0)
+    driver = Driver(node, find, "qos", "runs/a")
+    settings = driver.core.settings
+    assert (settings.odometry_timeout_s, settings.gate, settings.lag_s) == (0.2, None, 2.0)
+    assert node.timers[0][0] == 0.25
+    assert ("warning", "watched was trained for a period of 0.5 s; it runs at 0.25 s") in node.lines
+    node.subscriptions["odom"](MAKE.odometry(odometry(99.9), (0.0,) * 6))
+    driver.step()
+    (stamped,) = node.sent["cmd_vel"]
+    assert (stamped.header.frame_id, stamped.twist.linear.x) == ("base_link", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "policy: expected a run folder, a preset or a file"),
+        ({"policy": "x", "sensor_pose": [0.0, 1.0]}, "sensor_pose"),
+        ({"policy": "x", "lag_s": -1.0}, "lag_s"),
+        ({"policy": "x", "period_s": -1.0}, "period_s"),
+    ],
+)
+def test_wrong_parameters_are_named(watched, parameters, message):
+    with pytest.raises(InputError, match=message):
+        Driver(Node(**parameters), find, "qos")
+
+
+def test_what_is_wrong_is_said_once_in_five_seconds(watched):
+    node = Node()
+    driver = Driver(node, find, "qos", "x")
+    for _ in range(30):
+        driver.step()
+        node.now_s += 0.5
+    stopped = [text for _, text in node.lines if text.startswith("stopped")]
+    assert stopped == ["stopped: no odometry yet"] * 3
+    assert all(each.linear.x == 0.0 for each in node.sent["cmd_vel"])
+    assert not node.sent["beliefs/markers"]
+    node.subscriptions["odom"](MAKE.odometry(odometry(node.now_s), (0.0,) * 6))
+    unnamed = MAKE.detections(detections(node.now_s, a=(1, 1, 0)))
+    unnamed.detections[0].id = ""
+    node.subscriptions["detections"](unnamed)
+    assert "1 have no id: run a tracker first" in node.lines[-1][1]
+    node.now_s += 10.0
+    node.subscriptions["poses"](MAKE.pose_array(MAKE.header(node.now_s, "lidar"), [(1.0, 1.0, 0.0)]))
+    assert "no odometry of their time" in node.lines[-1][1]
+
+
+def test_without_vision_msgs_pose_arrays_are_taken(watched):
+    def without(name):
+        if name.startswith("vision"):
+            raise ImportError(name)
+        return find(name)
+
+    node = Node()
+    Driver(node, without, "qos", "x")
+    assert set(node.subscriptions) == {"odom", "poses"}
+    assert "vision_msgs is not installed" in node.lines[0][1]
+
+
+def test_names_of_topics_are_those_of_ros():
+    assert [topic_name(name) for name in ("7", "anna", "/walkers/0", "ä", "a--b")] == [
+        "target_7", "target_anna", "target_walkers_0", "target_x", "target_a_b",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_decision_costs_less_than_a_millisecond_beyond_the_policy():
+    """In a process of its own: types that are checked at run time cost more than that."""
+    script = Path(__file__).parents[2] / "experiments" / "ros_node.py"
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300)
+    assert ran.returncode == 0, ran.stderr
+    spent = [float(line.split()[-2]) for line in ran.stdout.splitlines() if line.startswith("decision")]
+    assert len(spent) == 3
+    assert max(spent) < 1000.0, ran.stdout
+
+
+def test_without_ros_it_says_what_is_missing(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    assert main(["best"]) == 2
+    assert "foveate.ros: rclpy, ROS 2's Python, is not found" in capsys.readouterr().err
+
+
+LISTENER = Path(__file__).with_name("listener.py")
+
+
+@pytest.mark.slow
+def test_on_loopback_it_drives_and_stops():
+    """The node as a process, and another that sends it odometry and detections, through the middleware."""
+    pytest.importorskip("rclpy", reason="needs ROS 2, or the extra rclpy")
+    here = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "1", "ROS_DOMAIN_ID": "77"}
+    environment = {**os.environ, **here}
+    command = [sys.executable, "-m", "foveate.ros", "pan", "--ros-args", "-r", "cmd_vel:=/turn", "-p", "lag_s:=0.5"]
+    running = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    try:
+        heard = subprocess.run(
+            [sys.executable, str(LISTENER)], env=environment, capture_output=True, text=True, timeout=240
+        )
+    finally:
+        running.terminate()
+        _, errors = running.communicate(timeout=60)
+    assert heard.returncode == 0, heard.stdout + heard.stderr + errors
+    assert running.returncode == 0, errors
+    assert "stopped: the odometry is" in errors
+
+
+def test_the_stand_in_has_the_names_of_rclpy():
+    """What `Node` above offers is what a real node has."""
+    rclpy = pytest.importorskip("rclpy.node", reason="needs ROS 2, or the extra rclpy")
+    names = [name for name in vars(Node) if name.startswith(("create", "declare", "get"))]
+    assert all(hasattr(rclpy.Node, name) for name in names)
+    assert PLANE.tau_s == 0.5
