@@ -377,7 +377,7 @@ def test_plans_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     mine = foveate.plan([SCENE], experiment=PLANE.scenario, **options)
     a, b = (json.loads((tmp_path / name).read_text()) for name in "ab")
     assert a == b
-    rows = [json.loads(json.dumps(asdict(row))) for row in mine.rows]
+    rows = [json.loads(json.dumps(row.record())) for row in mine.rows]
     assert [row | {"objective": row["score"]} for row in rows] == a["rows"]
     assert {row.objective for row in mine.rows} == {None}, "nothing is trained in a scenario alone"
     assert {row.method for row in mine.rows} == {"icr-open"}

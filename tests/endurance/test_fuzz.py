@@ -97,7 +97,7 @@ LARGE = {
             {
                 "format": "foveate-scenes",
                 "version": 1,
-                "scenes": [{"id": f"s{i}", "agent": [0, 0, 0], "targets": []} for i in range(18_000)],
+                "scenes": [{"id": f"s{i}", "agent": [0, 0, 0], "targets": []} for i in range(6_000)],
             }
         ),
     ),

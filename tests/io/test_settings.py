@@ -56,6 +56,7 @@ def required(cls: Any) -> dict[str, Any]:
         foveate.BallView: {"radius_m": 1.0, "center_m": (0.0, 0.0)},
         foveate.PrismView: {"base": foveate.TriangleView()},
         foveate.RegionSettings: {"low_m": (0.0, 0.0), "high_m": (1.0, 1.0)},
+        foveate.OccupancyObstacles: {"file": "map.yaml"},
         foveate.LinearTarget: dict.fromkeys("ABWZ", ((1.0,),)) | {"prior": ((1.0,),)},
     }.get(cls, {})
 

@@ -197,7 +197,7 @@ def test_a_batch_mixes_both_protocols_and_masks_steps_after_the_end():
         tries = []
         for name in chosen.protocols:
             state = start(problem, episode, PROTOCOLS[name])
-            how = (PROTOCOLS[name], "terminal", action_std, action_key, state, episode.horizon, False)
+            how = (PROTOCOLS[name], "terminal", action_std, action_key, state, episode.horizon, False, True)
             tries.append(play(problem, learner.policy, episode, *how)[0])
         return tries, [jax.vmap(critic)(one.tokens) for one in tries]
 

@@ -29,7 +29,7 @@ from foveate.experiment.run_folder import BEST
 from foveate.models.robot import Robot
 from foveate.planning.named import heuristic_policy
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer import PointerPolicy, PointerSettings
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import BallView, PolygonView, SectorView
 from foveate.scenario.region import RegionSettings
@@ -143,13 +143,17 @@ def beliefs(experiment, count=COUNT, most=MOST, seed=0):
 
 @eqx.filter_jit
 def decided(problem, policy, arrays):
-    """Commands of the JAX policy, one decision after the other."""
+    """Commands of the JAX policy, one decision after the other, and which rounding decides between two modes."""
 
     def one(now):
         robot = Robot.of(problem).at(now["step"])
         names = ("step", "steps_left", "pose", "mean", "information", "present", "known_input")
         seen = Observation(*(now[name] for name in names), robot)
-        return problem.agent.control(policy(seen, (), jax.random.key(0))[0])
+        tied = False
+        if isinstance(policy, PointerPolicy):
+            first, second = jax.lax.top_k(policy.modes(policy.tokens(seen)).log_weight, 2)[0]
+            tied = first - second < 1e-5
+        return problem.agent.control(policy(seen, (), jax.random.key(0))[0]), tied
 
     return jax.lax.map(one, arrays, batch_size=100)
 
@@ -178,17 +182,18 @@ def test_decides_as_the_jax_policy(name):
     arrays, live = beliefs(experiment), session(exported(name))
     single = jax.tree.map(lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, problem)
     with jax.enable_x64(False):
-        expected = np.asarray(decided(single, policy, arrays))
+        expected, tied = map(np.asarray, decided(single, policy, arrays))
+    assert tied.mean() < 0.02, "processors round differently; where that decides, there is nothing to compare"
     assert expected.dtype == np.float32
     reach = np.asarray(problem.agent.upper - problem.agent.lower)
     assert (np.ptp(expected, axis=0) > 0.1 * reach).all(), "decisions must differ, or nothing was compared"
-    np.testing.assert_allclose(run(live, arrays), expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(run(live, arrays)[~tied], expected[~tied], rtol=0, atol=1e-5)
     alone = []
     for i, here in enumerate(arrays["present"]):
         whole = ("pose", "steps_left", "step")
         cut = {key: x[i : i + 1] if key in whole else x[i : i + 1, here] for key, x in arrays.items()}
         alone.append(run(live, cut)[0])
-    np.testing.assert_allclose(alone, expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(np.array(alone)[~tied], expected[~tied], rtol=0, atol=1e-5)
     assert (np.array(alone) >= np.asarray(single.agent.lower)).all()
     assert (np.array(alone) <= np.asarray(single.agent.upper)).all()
 
@@ -288,7 +293,7 @@ def test_the_example_turns_a_belief_into_a_decision(trained):
         "step": np.array(0),
     }
     one = {key: jnp.asarray(x)[None] for key, x in arrays.items()}
-    expected = decided(experiment.scenario.problem(), strong(experiment), one)[0]
+    expected = decided(experiment.scenario.problem(), strong(experiment), one)[0][0]
     control = example(pose, mean, covariance, pushes, steps_left=7)
     np.testing.assert_allclose([control["vx"], control["wz"]], expected, rtol=0, atol=1e-5)
     assert set(example(pose, mean[:0], covariance[:0])) == {"vx", "wz"}

@@ -190,7 +190,9 @@ def test_a_live_page_follows_its_panel(browser):
 
     def make(scene, method):
         asked.append((scene, method))
-        return late_sightings(steps=400, n=2, title=f"{method} on {scene} {HOSTILE}")
+        # The agent stays: what its way covers is in the picture, and would be large beside the beliefs.
+        pose, title = np.zeros((401, 3)), f"{method} on {scene} {HOSTILE}"
+        return late_sightings(steps=400, n=2, pose=pose, title=title)
 
     source = player.EpisodeSource(scenes=("one", "two"), methods=("nearest", "still"), episode=make)
     with view._server(0) as server:
