@@ -280,3 +280,18 @@ def test_two_methods_side_by_side_are_animated(tmp_path: Path):
 def test_the_tracker_of_sensors_begins_a_belief_where_the_page_says():
     left = run_python(ROOT / "docs" / "sensors.md")
     np.testing.assert_allclose(left["tracker"].mean, [[0.0, 3.0]], atol=0.01)
+
+
+def test_a_row_of_the_tutorials_table_is_measured_again():
+    """To the digits shown: a heuristic, which needs no training, in the 30 scenes of two targets."""
+    page = ROOT / "docs" / "tutorial.md"
+    (defined,) = [block for block in blocks(page, "python") if block.startswith("scenario =")]
+    names: dict[str, Any] = {"foveate": foveate}
+    with jax.enable_x64(False):  # as everywhere outside of these tests
+        exec(compile(defined, page.name, "exec"), names)
+        scenario = names["scenario"]
+        nearest = foveate.heuristic("nearest", scenario)
+        scenes = [each for each in foveate.own_suite(scenario.scenes, scenario.problem()) if len(each.targets) == 2]
+        (cell,) = foveate.evaluate(nearest, scenes, protocol="true", progress=False).summary
+    shown = f"{cell.mean:.2f} | {cell.seen_fraction:.0%} | {cell.seen_step_fraction:.0%} | {cell.nees:.1f}"
+    assert f"| `nearest` | 2 | {shown.replace('%', ' %')} |" in page.read_text(encoding="utf-8")

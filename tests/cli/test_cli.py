@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import check_contract, failure
+from rich.cells import cell_len
 
 import foveate
-from foveate.cli.main import main
+from foveate.cli.main import COMMANDS, main
 from foveate.evaluation import verdict
 from foveate.evaluation.verdict import verdict_of
 from foveate.experiment.presets import PRESETS
@@ -143,6 +144,18 @@ def test_help_is_a_line_a_command_and_all_of_it_on_its_own_page(capsys: pytest.C
     assert both.count("The recording gives the number of targets") == 1
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"foveate {foveate.__version__}\n"
+
+
+def test_help_of_every_command_fits_a_terminal_of_80_columns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("COLUMNS", "80")
+    for command in COMMANDS:
+        with pytest.raises(SystemExit, match="0"):
+            main([command, "--help"])
+        said = capsys.readouterr().out
+        assert not [line for line in said.splitlines() if cell_len(line) > 80], command
+        assert not re.search(r"\{None\}|\[STR|--\S+ (STR|FLOAT)\b", said), f"{command}: a value without a name"
 
 
 @pytest.mark.slow

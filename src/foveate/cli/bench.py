@@ -12,7 +12,7 @@ class Bench(Command):
     """Measure the speed of training, decisions, simulation, planning and start-up on this machine.
 
     Times are medians of repeats after a warm-up, each with its ratio to the machine's own speed. A training step and an
-    iteration of the actor-critic, are compared with their limit: the arithmetic of their networks at the rate of a
+    iteration of the actor-critic are compared with their limit: the arithmetic of their networks at the rate of a
     large matrix product in the same run; an evaluation with its bare simulation. With a baseline (an earlier --json
     FILE), ratios that are worse by more than the tolerance give exit status 1.
 
@@ -22,11 +22,11 @@ class Bench(Command):
 
     quick: bool = False
     """Few repeats and no whole training: one or two minutes."""
-    episodes: tuple[int, ...] = (60, 1024)
+    episodes: Annotated[tuple[int, ...], option("N ..")] = (60, 1024)
     """Batch sizes of the measured training steps; on a GPU up to a million."""
     baseline: Annotated[Path | None, option("FILE.json")] = None
     """Report of an earlier run to compare with."""
-    tolerance: float = 0.5
+    tolerance: Annotated[float, option("SHARE")] = 0.5
     """Fraction by which a ratio may be worse than in the baseline."""
     json: Annotated[Path | None, option("FILE")] = None
     """Write the metrics as JSON."""

@@ -18,7 +18,7 @@ class Evaluate(Command):
     filter; only real measurements give information. Every method gets the same scenes and the same noise.
 
       foveate evaluate true-view
-      foveate evaluate runs/first true-view --method policy uncertain --protocol true
+      foveate evaluate runs/first true-view --method policy uncertain
     """
 
     run: Annotated[tyro.conf.Positional[tuple[str, ...]], option("RUN|PRESET ..")]
@@ -31,7 +31,7 @@ class Evaluate(Command):
     """Seed of the scenes of table1 or own; the default gives the paper's table 1."""
     protocol: Literal["surrogate", "true", "both"] = "both"
     """Source of information: the soft view (surrogate) or real measurements (true); see above."""
-    method: tuple[str, ...] = ("policy",)
+    method: Annotated[tuple[str, ...], option("NAME ..")] = ("policy",)
     """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all."""
     episodes: int = 1
     """Noise draws per scene."""

@@ -19,7 +19,7 @@ class Presets(Command):
       foveate presets true-view
     """
 
-    preset: Annotated[tyro.conf.Positional[tuple[str, ...]], option("NAME ..")] = ()
+    preset: Annotated[tyro.conf.Positional[tuple[str, ...]], option("[NAME ..]")] = ()
     """Presets whose model card to print: data, scores, limits, size and licence."""
     json: Annotated[Path | None, option("FILE")] = None
     """Write the cards as JSON."""

@@ -30,7 +30,7 @@ class Render(Command):
     """Seed of the scenes of table1 or own."""
     protocol: ProtocolName = "true"
     """Source of information: the soft view (surrogate) or real measurements (true)."""
-    method: str = "policy"
+    method: Annotated[str, option("NAME")] = "policy"
     """policy, random, still, nearest, uncertain, lawnmower, price, window or post."""
     seed: int = 0
     """Seed of the noise."""

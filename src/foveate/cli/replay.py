@@ -23,7 +23,7 @@ class Replay(ReadingCommand):
     recording: Annotated[tyro.conf.Positional[tuple[Path, ...]], option("RECORDING ..")]
     """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of
     frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""
-    method: tuple[str, ...] = ("all",)
+    method: Annotated[tuple[str, ...], option("NAME ..")] = ("all",)
     """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Also planners
     in receding horizon, which take seconds to minutes: icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
     start: Annotated[float | None, option("SECONDS")] = None
@@ -43,7 +43,7 @@ class Replay(ReadingCommand):
     max_gap: Annotated[float | None, option("SECONDS")] = None
     """Longest gap between two fixes over which a target counts as present [s] (default: 2 s, or three fixes of a slow
     clock)."""
-    gate: float | None = GATE
+    gate: Annotated[float | None, option("PROBABILITY|None")] = GATE
     """Probability of the chi-square gate; measurements outside are rejected. None: no gate. After four rejections in a
     row, the fifth measurement restarts the belief: the target has really jumped."""
     seed: int = 0

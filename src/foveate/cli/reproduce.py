@@ -20,12 +20,12 @@ class Reproduce(Command):
     The suite of worlds compares, in each of a folder's experiments, the policies that it trains with every heuristic
     and a planner of 64 starts, by the objective of that experiment (worlds.md, worlds.json).
 
-      foveate reproduce --quick                              # minutes: short training, few scenes; a preview
-      foveate reproduce                                      # everything: about 1.5 h on 2 cores
-      foveate reproduce --suite true-view                    # information from real detections only
-      foveate reproduce --scene-seed 7 --out runs/seed-7     # other scenes of the same distribution
-      foveate reproduce --add examples/own_method.py:METHOD  # with your own method
-      foveate reproduce --suite worlds --only paper pan      # two worlds of benchmarks/worlds, three seeds each
+      foveate reproduce --quick                              # a preview: minutes
+      foveate reproduce                                      # all, in about 1.5 h
+      foveate reproduce --suite true-view                    # detections alone
+      foveate reproduce --scene-seed 7 --out runs/seed-7     # other scenes
+      foveate reproduce --add examples/own_method.py:METHOD  # your own method
+      foveate reproduce --suite worlds --only paper pan      # two of the worlds
     """
 
     suite: Literal["paper", "true-view", "worlds"] = "paper"

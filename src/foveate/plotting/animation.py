@@ -112,7 +112,8 @@ def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[li
     title = figure.text(14 / width, 1 - 12 / height, drawable(describe(data)), fontsize=11, fontweight="bold", va="top")
     title.set_parse_math(False)
     title.set_fontsize(11 * min(1.0, (width - 28) / title.get_window_extent().width))
-    clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10, backgroundcolor="white")
+    behind = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # low: the frame below stays whole
+    clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10, bbox=behind)
     lines, show_curves = _curves(curves, data)
     start = _make_room(figure, ground if kind is PlanarScene else None, curves, place)
     curves.set_position(tuple((start, bottom, width - start - 14, high) / unit))

@@ -126,10 +126,10 @@ def test_its_own_page_is_served_and_its_choices_are_taken(panel):
 def test_what_is_not_offered_changes_nothing_and_ends_nobodys_session(panel, caplog, monkeypatch):
     shared = []
     monkeypatch.setattr(panel._server, "request_share_url", lambda *_: shared.append(1))
-    before = {name: getattr(panel, name).value for name in ("_scene", "_method", "_speed", "_play", "_step")}
+    before = {name: getattr(panel, name).value for name in ("_scene", "_method", "_speed", "_button", "_step")}
     with caplog.at_level(logging.WARNING), opened(panel) as bad, opened(panel) as good:
         send(good, **CAMERA)
-        for handle in (panel._scene, panel._method, panel._speed, panel._play, panel._step):
+        for handle in (panel._scene, panel._method, panel._speed, panel._button, panel._step):
             for value in ("nope", "evil", None, -1, 1e9, float("nan"), [], {}, 10**18, ["one"], "x" * 1000):
                 change(bad, handle, value=value)
             change(bad, handle, label="evil")
@@ -146,7 +146,7 @@ def test_what_is_not_offered_changes_nothing_and_ends_nobodys_session(panel, cap
         assert happens(lambda: panel._method.value == "still"), "after all of that its own session goes on too"
         panel.tick(0.1)
         assert {name: getattr(panel, name).value for name in before} == {**before, "_method": "still", "_step": 0}
-        assert panel._scene.label == "scene"
+        assert (panel._scene.label, panel._button.label, panel._playing) == ("scene", "pause", True)
         assert panel._scene.visible
         assert not shared
         good.ping().wait(10)

@@ -105,10 +105,10 @@ def test_facts_and_curves():
     assert chart.curves(late_sightings(n=21)).shape == (4, 1)
     facts = chart.facts(data, 3 * SUBSTEPS)
     assert facts["score so far"] == "6.00 nat per target"
-    assert (facts["time"], facts["step"], facts["seen now"]) == ("1.5 of 2.0 s", "3 of 4", "1 of 1")
-    assert "ever seen" not in facts  # a column may serve several, one after the other
-    assert chart.facts(late_sightings(), 2 * SUBSTEPS)["ever seen"] == "3 of 3"
-    assert facts["of the time"] == "60%"  # 3 of the 5 target-steps so far
+    assert (facts["time"], facts["step"], facts["detected now"]) == ("1.5 of 2.0 s", "3 of 4", "1 of 1")
+    assert "ever detected" not in facts  # a column may serve several, one after the other
+    assert chart.facts(late_sightings(), 2 * SUBSTEPS)["ever detected"] == "3 of 3"
+    assert facts["in view"] == "60%"  # 3 of the 5 target-steps so far
     assert chart.facts(data, 0)["score so far"] == "-"
     assert data.moment_at(0.75) == 1.5 * SUBSTEPS
     assert player.usual_speed(data) == 1.0
@@ -210,8 +210,8 @@ def test_a_live_page_follows_its_panel(browser):
         assert f"nearest on one {HOSTILE} · 2 targets" in browser.run(text), "as it is"
         before = panel._moment
         assert before > 10 * SUBSTEPS
-        browser.run("[...document.querySelectorAll('.mantine-Checkbox-input')].at(-1).click()")
-        wait_for(lambda: panel._play.value is False)
+        browser.run("[...document.querySelectorAll('button')].find(b => b.innerText == 'pause').click()")
+        wait_for(lambda: panel._playing is False)
         panel.tick(5.0)
         assert panel._moment == before
         browser.run("[...document.querySelectorAll('button')].find(b => b.innerText == 'back').click()")

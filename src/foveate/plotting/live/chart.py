@@ -10,7 +10,7 @@ from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
 from foveate.plotting.live.scene import add_line, segments, set_segments
 
 LEGEND = "beliefs (95 %): green, thick: detected; orange, thin: not detected; black: true targets"
-CURVES = "log det of information [nat]: each target (grey), their mean (black)"
+CURVES = "log det [nat]: targets (grey), mean (black)"
 MAX_CURVES = 20
 """With more targets, only the mean is drawn."""
 
@@ -30,24 +30,24 @@ def curves(data: EpisodeData) -> Float[np.ndarray, "steps curves"]:
 
 
 def facts(data: EpisodeData, moment: int) -> dict[str, str]:
-    """Time, step, score so far, targets seen, share of time seen, and, where all stay, targets ever seen."""
+    """Time, step, score so far, targets detected, share of time in view, and, where all stay, targets ever detected."""
     k = moment // SUBSTEPS
     score = data.mean_log_det[k - 1] if k else np.nan
     values = {
         "time": f"{data.time_at(moment):.1f} of {data.times_s[-1]:.1f} s",
         "step": f"{k} of {data.steps}",
         "score so far": f"{score:.2f} nat per target" if np.isfinite(score) else "-",
-        "seen now": f"{data.seen_at(k).sum()} of {data.present[k].sum()}",
-        "of the time": f"{data.seen_share_until(k):.0%}",
+        "detected now": f"{data.seen_at(k).sum()} of {data.present[k].sum()}",
+        "in view": f"{data.seen_share_until(k):.0%}",
     }
     # Where targets come and go, several may share a column: their number would not be that of targets.
     if data.present.all():
-        values["ever seen"] = f"{data.visible[:k].any(axis=0).sum()} of {data.targets}"
+        values["ever detected"] = f"{data.visible[:k].any(axis=0).sum()} of {data.targets}"
     return values
 
 
 class SceneChart:
-    """Chart of the curves behind the scene, labelled with time, score and targets seen."""
+    """Chart of the curves behind the scene, labelled with time, score and targets detected."""
 
     def __init__(self, scene: Any, data: EpisodeData, box: Float[np.ndarray, "2 3"]) -> None:
         self._data, values, width = data, curves(data), float(np.ptp(box[:, 0]))
@@ -79,4 +79,4 @@ class SceneChart:
         set_segments(self._mean, lines[:1])
         set_segments(self._each, lines[1:])
         values = facts(self._data, moment)
-        self._label.text = " · ".join(f"{name} {values[name]}" for name in ("time", "score so far", "seen now"))
+        self._label.text = " · ".join(f"{name} {values[name]}" for name in ("time", "score so far", "detected now"))

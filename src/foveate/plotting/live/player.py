@@ -14,6 +14,8 @@ from foveate.plotting.live.chart import CURVES, LEGEND, curves, facts
 from foveate.plotting.live.scene import LiveScene, aim_cameras
 from foveate.plotting.scene import describe
 
+PLAY, PAUSE = "play", "pause"
+"""What the button does, as it says."""
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 25.0, 50.0)
 SHORT_S = 60.0
 """A longer episode is played faster at first."""
@@ -49,10 +51,11 @@ class Player:
         self._moment, self._time_s = -1, 0.0
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        gui.main_panel.dock_right()  # beside the scene: a floating panel would cover a part of it
         self._scene = gui.add_dropdown("scene", source.scenes, initial_value=source.scenes[0])
         self._method = gui.add_dropdown("method", source.methods, initial_value=source.methods[0])
         self._speed = gui.add_dropdown("speed", tuple(f"{speed:g}" for speed in SPEEDS), hint="times real time")
-        self._play = gui.add_checkbox("play", True)
+        self._playing, self._button = True, gui.add_button(PAUSE)
         self._step = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
         steps = gui.add_button_group("one step", ("back", "ahead"))
         self._title, self._facts = gui.add_markdown(""), gui.add_markdown("")
@@ -65,8 +68,13 @@ class Player:
             (steps, ("back", "ahead")),
         ):
             self._offer(handle, lambda value, choices=choices: isinstance(value, str) and value in choices)
-        self._offer(self._play, lambda value: isinstance(value, bool))
+        self._offer(self._button, lambda value: value is True)
         self._offer(self._step, lambda value: type(value) in (int, float) and 0 <= value <= self._step.max)
+
+        @self._button.on_click
+        def _(event: Any) -> None:
+            with self._lock:
+                self._play(not self._playing)
 
         @self._step.on_update
         def _(event: Any) -> None:
@@ -81,10 +89,14 @@ class Player:
         """Take only these values of a control from visitors."""
         self._server.offers[handle._impl.uuid] = is_offered
 
+    def _play(self, playing: bool) -> None:
+        """Play or pause; the button says what it would do."""
+        self._playing, self._button.label = playing, PAUSE if playing else PLAY
+
     def _seek(self, step: int) -> None:
         """Pause at a step."""
         with self._lock:
-            self._play.value = False
+            self._play(False)
             if self._shown is not None:
                 data = self._episodes[self._shown]
                 self._time_s = float(data.times_s[min(max(step, 0), data.steps)])
@@ -104,11 +116,12 @@ class Player:
         data = self._episodes[selected]
         with self._lock:
             end = float(data.times_s[-1])
-            if self._play.value:
+            if self._playing:
                 # Played at its end, the episode restarts.
                 self._time_s = self._time_s + seconds * float(self._speed.value) if self._time_s < end else 0.0
                 if self._time_s >= end:
-                    self._time_s, self._play.value = end, False
+                    self._time_s = end
+                    self._play(False)
             moment = data.moment_at(self._time_s)
         if moment != self._moment:
             self._show(data, moment)
@@ -121,7 +134,8 @@ class Player:
         with self._lock:
             self._shown, self._moment, self._time_s = (scene, method), -1, 0.0
             self._speed.value = f"{usual_speed(data):g}"
-            self._step.max, self._play.value = max(1, data.steps), True
+            self._step.max = max(1, data.steps)
+            self._play(True)
         with self._server.atomic():
             self._server.scene.reset()
             self._live_scene = LiveScene(self._server.scene, data)
@@ -162,5 +176,5 @@ def _panel_chart(gui: Any, data: EpisodeData, values: np.ndarray) -> Any:
         axes=({"label": "time [s]"}, {}),
         scales={"x": {"time": False, "range": (0.0, float(data.times_s[-1]))}, "y": {"range": axis_range(values)}},
         legend={"live": False, "show": False},
-        aspect=1.3,
+        aspect=1.6,
     )

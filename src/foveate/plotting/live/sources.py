@@ -48,7 +48,7 @@ def simulated(
 
     def episode(scene: str, method: str) -> EpisodeData:
         ready = prepare(problem, settings, [by_id[scene]], seed)
-        return suite_data(ready, subject.policy(method), protocol, method)[0]
+        return suite_data(ready, subject.policy(method), protocol, subject.name if method == "policy" else method)[0]
 
     return EpisodeSource(scenes=tuple(order), methods=tuple(methods), episode=episode)
 
@@ -65,7 +65,7 @@ def recorded(
 
     def episode(scene: str, method: str) -> EpisodeData:
         _, trace = drive(ready, method, subject.policy(method, box_world))
-        return replay_data(ready, trace, f"{method} on {scene}")
+        return replay_data(ready, trace, f"{subject.name if method == 'policy' else method} on {scene}")
 
     warnings = warnings_for(scenario, recording, ready.slots, gap_s)
     return EpisodeSource(scenes=scenes, methods=tuple(methods), episode=episode), warnings
