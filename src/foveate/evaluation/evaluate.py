@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from foveate.evaluation.metrics import measures
+from foveate.io.jax_settings import compiled
 from foveate.learning.devices import cores
 from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
@@ -115,10 +116,12 @@ def prepare(
     )
 
 
-@eqx.filter_jit
 def _run(problem: Problem, policy: Policy, protocol: Protocol, episodes: Episode, key_data: jax.Array) -> Trace:
     keys = jax.random.wrap_key_data(key_data)
     return jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
+
+
+_SIMULATE = {dimension: compiled(_run, dimension) for dimension in (2, 3)}
 
 
 @jax.jit
@@ -146,13 +149,14 @@ def evaluate_traces(
     Each core runs batches of `chunk` episodes; `report` takes the number of completed episodes.
     """
     count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
+    simulate = _SIMULATE[suite.problem.agent.space.dimension]
     # Slices of numpy arrays need no compiled programs.
     inputs = jax.tree.map(np.asarray, (suite.episodes, jax.random.key_data(keys)))
 
     def run(first: int) -> Trace:
         # Copies of the last episode fill the last chunk: every chunk then runs the same compiled program.
         rows = np.minimum(np.arange(first, first + chunk), count - 1)
-        trace = _run(suite.problem, policy, protocol, *jax.tree.map(lambda x: x[rows], inputs))
+        trace = simulate(suite.problem, policy, protocol, *jax.tree.map(lambda x: x[rows], inputs))
         return jax.tree.map(lambda x: np.asarray(x)[: count - first], trace)
 
     parts = []

@@ -2,6 +2,8 @@
 
 import os
 import warnings
+from collections.abc import Callable
+from typing import Any
 
 from foveate.errors import InputError
 from foveate.io.progress import logger
@@ -80,3 +82,14 @@ def quick_compilation() -> dict[str, bool]:
     import jax
 
     return {"xla_cpu_use_fusion_emitters": False} if jax.__version__.startswith("0.10.") else {}
+
+
+def compiled(simulate: Callable[..., Any], dimension: int) -> Callable[..., Any]:
+    """`equinox.filter_jit` of a function that simulates robots in the plane (2) or in space (3).
+
+    In the plane compilation takes half the time, and the program is as fast, with the same results; in space it would
+    take 1.6 times as long.
+    """
+    import equinox as eqx
+
+    return eqx.filter_jit(simulate, compiler_options=quick_compilation() if dimension == 2 else {})

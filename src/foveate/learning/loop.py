@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -13,7 +12,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings, PPOSettings, TrainingSettings
 from foveate.experiment.resolve import first_policy
 from foveate.experiment.run_folder import Outcome, Validation
-from foveate.io.jax_settings import quick_compilation
+from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning import actor_critic, policy_gradient
 from foveate.learning.devices import from_first_process, on_all_devices, schedule
 from foveate.learning.learner import EpochReport, Learner, run_epochs
@@ -50,7 +49,8 @@ def train(
         raise InputError(f"training.algorithm = {training.algorithm!r}: expected one of a JAX learner")
     policy_key, scenes_key, training_key, validation_key = jax.random.split(jax.random.key(seed), 4)
     episodes = held_out_episodes(experiment, scenes_key)
-    score_of = eqx.filter_jit(lambda policy, episodes, key: validate(experiment, policy, episodes, key))
+    dimension = experiment.scenario.dimension
+    score_of = compiled(lambda policy, episodes, key: validate(experiment, policy, episodes, key), dimension)
     policy = first_policy(experiment, policy_key)
     if not resume and isinstance(policy, PointerPolicy) and not experiment.begins_with:
         policy = best_preference(policy, lambda policy: score_of(policy, episodes, validation_key)[0])

@@ -10,6 +10,7 @@ from jaxtyping import Key as Keys
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import PAN
+from foveate.io.jax_settings import quick_compilation
 from foveate.models.problem import Problem
 from foveate.names import Objective
 from foveate.policies.pointer import PointerPolicy
@@ -50,7 +51,8 @@ class World:
             problem, episode = self.drawn(key, test=True)
             return None if self.robots is None else problem, episode
 
-        return jax.jit(jax.vmap(drawn))(keys)
+        options = quick_compilation() if self.problem.agent.space.dimension == 2 else {}
+        return jax.jit(jax.vmap(drawn), compiler_options=options)(keys)
 
 
 WALKERS = VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.02, initial_velocity_variance_m2_s2=0.3)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from foveate.evaluation import metrics
 from foveate.evaluation.evaluate import decision_time
 from foveate.evaluation.metrics import mean_or_zero
 from foveate.experiment.experiment import Experiment
+from foveate.io.jax_settings import compiled
 from foveate.io.provenance import provenance
 from foveate.io.toml import digest
 from foveate.models.gate import gate_limit
@@ -32,7 +32,7 @@ MAX_ROUNDING = 0.05
 VERSION = 1
 """Version of the files of replays."""
 
-_run = eqx.filter_jit(rollout)
+_SIMULATE = {dimension: compiled(rollout, dimension) for dimension in (2, 3)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +172,9 @@ def _states(problem: Problem, slots: Slots) -> np.ndarray:
 
 def drive(ready: PreparedReplay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
     """Drive one method through the recording; return its row, and the trace as numpy arrays."""
-    trace = _run(ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed))
+    trace = _SIMULATE[ready.problem.agent.space.dimension](
+        ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed)
+    )
     trace = jax.tree.map(np.asarray, trace)
     return _row(ready, method, trace, decision_time(ready.problem, policy, ready.episode)), trace
 
