@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from foveate.errors import InputError
 from foveate.experiment.run_folder import METRICS, Validation, read_validations
@@ -66,15 +67,25 @@ def trajectory_figure(
     figure = new_figure(width, sum(heights) + 0.15 + 0.18 * legend_rows, dpi)
     rows = figure.subfigures(len(episodes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for row, data in zip(rows, episodes, strict=True):
-        row.suptitle(describe(data), x=0.01, ha="left", **TITLE)
+        shrink(row.suptitle(describe(data), x=0.01, ha="left", **TITLE), width)
         alike = [other for other in episodes if other.truth.shape == data.truth.shape]
         box = scene_class(data).limits([other for other in alike if np.allclose(data.truth[:1], other.truth[:1])])
         for column in range(columns):
             instant = round(data.steps * column / (columns - 1))
             axes: Any = row.add_subplot(1, columns, column + 1, axes_class=scene_class(data).axes_class)
             draw_scene(axes, data, instant, box, first=column == 0, last=row is rows[-1])
+            if width < NARROW and data.space.dimension == 2:
+                axes.locator_params(nbins=4)  # more numbers would touch each other
     figure.legend(handles=entries, ncols=-(-len(entries) // legend_rows), fontsize=8.5, **LEGEND)
     return save(figure, path)
+
+
+def shrink(title: Text, width: float) -> None:
+    """Make a title as small as a figure of this width [inches] needs."""
+    figure = title.get_figure(root=True)
+    assert figure is not None, "a title that is drawn"
+    room = 0.98 * width * figure.dpi
+    title.set_fontsize(title.get_fontsize() * min(1.0, room / title.get_window_extent().width))
 
 
 def row_heights(shapes: Sequence[float], width: float, columns: int) -> list[float]:

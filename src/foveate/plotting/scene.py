@@ -196,7 +196,7 @@ def describe(data: EpisodeData) -> str:
     most = int(data.present.sum(axis=1).max())
     count = f"{most or 'no'} target{'s' * (most != 1)}"
     if not data.present.all():
-        facts = [f"up to {count} at once", f"seen {data.seen_share:.1%} of their time"]
+        facts = [f"up to {count} at once", f"in view {data.seen_share:.1%} of their time"]
     else:
         facts = [count] if data.score is None else [count, f"score {data.score:.2f}"]
     return " · ".join([data.title, *facts] if data.title else facts)
