@@ -6,7 +6,9 @@ from typing import Annotated
 
 import tyro
 
+from foveate.cli.common import check_output
 from foveate.cli.options import ReadingCommand, option
+from foveate.errors import InputError
 from foveate.names import Goal
 
 
@@ -52,3 +54,11 @@ class Fit(ReadingCommand):
     """Write a page about what was found, with a figure."""
     goal: Goal = "seen"
     """Objective. seen: time in view. information: log det of all beliefs."""
+
+    def check(self) -> None:
+        """Refuse places to write to as well."""
+        super().check()
+        check_output(self.out, *self.recording)
+        check_output(self.report, *self.recording, self.out)
+        if self.out.exists() and not self.force:
+            raise InputError(f"{self.out}: exists already: choose another --out, or replace it with --force")

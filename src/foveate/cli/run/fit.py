@@ -1,19 +1,13 @@
 """Work of `foveate fit`."""
 
 from foveate import api
-from foveate.cli.common import check_output
 from foveate.cli.fit import Fit
-from foveate.errors import InputError
 from foveate.plotting.fit_report import write_fit_report
 from foveate.recordings.formats import load_recording
 
 
 def run(options: Fit) -> int:
     """Fit, print the statistics, write the experiment."""
-    check_output(options.out, *options.recording)
-    check_output(options.report, *options.recording, options.out)
-    if options.out.exists() and not options.force:
-        raise InputError(f"{options.out}: exists already: choose another --out, or replace it with --force")
     recording = load_recording(options.recording, **options.reading())
     fitted = api.fit(
         recording,
