@@ -43,4 +43,4 @@ OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 PARTS: tuple[Part, ...] = get_args(Part)
 
 GATE = 0.9999
-"""Default probability of the chi-square gate: it rejects one honest measurement in ten thousand."""
+"""Default probability of the chi-square gate: it rejects one valid measurement in ten thousand."""

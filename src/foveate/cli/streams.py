@@ -12,7 +12,7 @@ from typing import Any
 def steady_streams() -> Iterator[None]:
     """Replace standard output and error by streams that go on.
 
-    Where nobody reads a pipe any more, the rest goes nowhere, and the command finishes its work and its files. Other
+    Where a pipe is no longer read, the rest goes nowhere, and the command finishes its work and its files. Other
     failures of standard output, as a full disk, raise OSError that names it.
     """
     _fill_descriptors()

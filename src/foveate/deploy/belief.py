@@ -34,7 +34,7 @@ class Belief:
         information: The inverse of `covariance`, likewise.
         present: (n,) of bool, false for rows of padding, which are ignored; by default all true.
         known_input: (n, m_y), the inputs xi that led to a prediction; by default None, which means 0.
-        step_s: Length of the predicted step [s], as a `Tracker` knows it; None where nobody does.
+        step_s: Length of the predicted step [s], as a `Tracker` knows it; None where it is unknown.
     """
 
     def __init__(

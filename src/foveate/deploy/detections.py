@@ -46,11 +46,11 @@ class DetectionTracker(Observing):
     Each step: `predict`, decide on `belief`, `inputs` or `observation`, move, detect, `update`. Detections are a plain
     list in any order: which is of which target, which is a false alarm, and how many targets there are, the tracker
     finds out. Ids of tracks are its own. It reports the tracks that exist with a probability above the settings'
-    `confirm`; a track that is looked for in vain becomes less likely, and ends.
+    `confirm`; a track that is not detected where it should be becomes less likely, and ends.
 
-    `undetected` (cells) is the expected number of targets never detected in each cell of the settings' box: where
-    nobody has looked. Numbers are float32, so that the world's origin should be near the robot's working area. The
-    first `predict` and the first `update` compile, for a few seconds; no later one does.
+    `undetected` (cells) is the expected number of targets never detected in each cell of the settings' box. Numbers are
+    float32, so that the world's origin should be near the robot's working area. The first `predict` and the first
+    `update` compile, for a few seconds; no later one does.
 
     Args:
         scenario: Motion of the targets, sensor and view.

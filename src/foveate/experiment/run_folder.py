@@ -81,7 +81,7 @@ def _is_free(out: Path) -> bool:
 
 
 def read_validations(file: Path) -> list[Validation]:
-    """Read the validations of a `metrics.jsonl`, but for a truncated last line."""
+    """Read the validations of a `metrics.jsonl`, except for a truncated last line."""
     names, validations = {field.name for field in fields(Validation)}, []
     lines = [line for line in read_text(file, "metrics.jsonl of a run").splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):

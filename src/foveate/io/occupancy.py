@@ -3,7 +3,7 @@
 A pixel has a share p of black (of white with `negate`). Mode "trinary": occupied for p > occupied_thresh, free for
 p < free_thresh, else unknown. "scale": between the thresholds the occupancy grows from 0 to 100 %, and what is
 transparent is unknown. "raw": a pixel is the percentage itself, and above 100 unknown. Occupied here is all from 50 %
-on, and what is unknown: nobody has looked there.
+on, and what is unknown.
 """
 
 import math

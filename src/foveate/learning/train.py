@@ -55,7 +55,7 @@ def watched(
 ) -> Iterator[OnValidation]:
     """A progress bar around a training; yields the `report` for `train`, which calls `callback` first.
 
-    The first ctrl-C ends the training at its next validation, when everything is on the disk, the second one at once.
+    The first Ctrl+C ends the training at its next validation, when everything is on the disk, the second one at once.
     PPO, which cannot be resumed, ends at the first.
     """
     settings = experiment.training
@@ -80,7 +80,7 @@ def watched(
 
 @contextmanager
 def _deferred_interrupt(bar: Bar, defers: bool) -> Iterator[threading.Event]:
-    """An event that the first ctrl-C sets if `defers`; the second one raises KeyboardInterrupt."""
+    """An event that the first Ctrl+C sets if `defers`; the second one raises KeyboardInterrupt."""
     interrupted = threading.Event()
     before = signal.getsignal(signal.SIGINT)
 

@@ -5,8 +5,8 @@ a belief that reaches into the view claims too much. The rest of the Gaussian is
 and covariance takes its place (moment matching, as in assumed-density filtering).
 
 That puts mass back into the view. The next look must not cut it out again: the same information would count as often
-as there are looks, and the belief would shrink without bound. So a look cuts only ground that the previous look in vain
-did not show; what a target may have entered meanwhile is left to the process noise.
+as there are looks, and the belief would shrink without bound. So a look cuts only ground that the previous look did
+not show without a detection; what a target may have entered meanwhile is left to the process noise.
 """
 
 from collections.abc import Callable

@@ -28,14 +28,14 @@ VALUES = {1: 7, 2: 7, 3: 3}
 """Values tried on every axis by the number of axes; 2, the limits, for more: at most 49 commands, 64 for six axes."""
 
 TIE_NAT = 1e-4
-"""Commands whose results differ by less are equal: they see the same targets, but for rounding."""
+"""Commands whose results differ by less are equal: they see the same targets, except for rounding."""
 
 
 class DynamicWindow(Policy):
     """Takes the command that leads to the most information after a few periods, in the real view at the means.
 
     Tried are a grid of constant commands within the limits, standing still, and steering to each target up to
-    `standoff_m` [m] before it. Where several see the same, as when nobody can be reached, it steers as `price` does.
+    `standoff_m` [m] before it. Where several see the same, as when no target can be reached, it steers as `price` does.
     """
 
     problem: Problem

@@ -131,7 +131,7 @@ def _target(statistics: MotionStatistics, sensor_std_m: float) -> VelocityTarget
     """Target with velocities driven by white noise of the recording's accelerations, damped as its speeds are bounded.
 
     A speed of stationary second moment s^2 under noise of density q has a memory of 2 s^2 / q. The initial belief is
-    that of a target detected once, a step or a fix of the recording ago, whose velocity nobody knows.
+    that of a target detected once, a step or a fix of the recording ago, whose velocity is unknown.
     """
     density, d = statistics.acceleration_intensity, len(statistics.robust_lower_m)
     square_speed, age_s = statistics.mean_square_speed_m2_s2, max(statistics.tau_s, statistics.fix_interval_s)

@@ -178,7 +178,7 @@ def _check_meaning(blocks: list[Fixes], layout: Layout, clock: Clock, given: _Gi
 
 
 def _first_line(file: BinaryIO) -> tuple[int, str]:
-    """The header or first row, and the number of its line; comments before it are skipped, but for names of columns."""
+    """The header or first row, and the number of its line; skips comments before it, except for names of columns."""
     number, line = 0, "#"
     while line.startswith("#") and not _names_columns(line):
         number += 1

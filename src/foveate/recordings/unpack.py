@@ -1,7 +1,7 @@
 """Stamps and positions of ROS messages: poses from their bytes, many at once; others from rosbags' objects.
 
 Poses are the same bytes in every version of ROS. Messages of one topic and one length differ in their numbers alone,
-but for texts that grow and shrink; so numpy reads all of them as one table.
+except for texts that grow and shrink; so numpy reads all of them as one table.
 """
 
 import struct

@@ -47,7 +47,7 @@ def forgetful(tau_s: float, memory_s: float, intensity: np.ndarray) -> Motion:
 
     With the response phi(s) = (memory (1 - exp(-s / memory)), exp(-s / memory)) of position and velocity to an impulse
     of acceleration s ago, B = int_0^tau phi ds and W = int_0^tau phi phi^T ds. Gauss-Legendre quadrature avoids
-    cancellation for long memories, and is exact but for rounding while tau is below 20 times the memory.
+    cancellation for long memories, and is exact except for rounding while tau is below 20 times the memory.
     """
     nodes, weights = _NODES
     weights = 0.5 * tau_s * weights

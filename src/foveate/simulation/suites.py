@@ -205,7 +205,7 @@ def _episode_program(constant: Constant, settings: SceneSettings) -> Callable[..
 
 
 def _check_inside(problem: Problem, scenes: Sequence[Scene]) -> None:
-    """Raise InputError unless all targets start inside of borders that they keep, but for a scene's rounding."""
+    """Raise InputError unless all targets start inside of borders that they keep, except for a scene's rounding."""
     region = problem.region
     if region is None or not problem.bounds_targets:
         return

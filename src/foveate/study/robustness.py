@@ -67,7 +67,7 @@ class Verdict:
 def changed_benchmark(
     experiment: Experiment, factor: Factor, value: float, scenes: int, seed: int, noise_seed: int
 ) -> Benchmark:
-    """Biased test scenes of a scenario with a factor changed: but for the factor, the same for every value."""
+    """Biased test scenes of a scenario with a factor changed: except for the factor, the same for every value."""
     plain = replace(experiment.scenario.scenes, targets_min=TARGETS, targets_max=TARGETS)
     scenario = factor.change(replace(experiment.scenario, scenes=plain), value)
     problem = scenario.problem()

@@ -68,7 +68,7 @@ def possible_inputs(problem: Problem) -> tuple[Input, ...]:
 def trace_decisions(policy: Policy, problem: Problem) -> Trace:
     """Trace b decisions about n targets: from `possible_inputs` to commands (b, m), in float32.
 
-    All of the robot is constant, but for what a schedule changes from step to step. Raises NoRule for
+    All of the robot is constant, except for what a schedule changes from step to step. Raises NoRule for
     policies that draw random numbers, or have a memory.
     """
     types = {"float32": jnp.float32, "int64": jnp.int32, "bool": jnp.bool_}

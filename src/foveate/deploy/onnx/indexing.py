@@ -41,7 +41,7 @@ def gather(graph: Graph, operation: Operation, x: Tensor, indices: Tensor) -> Te
 
 
 def drop(graph: Graph, x: Tensor, axes: Sequence[int]) -> Tensor:
-    """Without these axes of size 1, but for the last ones: those a tensor keeps until an operation minds them."""
+    """Without these axes of size 1, except for the last ones: those a tensor keeps until an operation minds them."""
     rank = len(x.shape)
     while rank - 1 in axes:
         rank -= 1

@@ -1,7 +1,7 @@
 """Tracks that a scan missed: the probability that it had to detect them, and what remains of each belief.
 
 The belief, given that its target was missed, is (1 - p_D(x)) N(x), which is no Gaussian where the view's border cuts
-it. Moment matching puts probability back into the view, and the next look in vain must not count it again: neither
+it. Moment matching puts probability back into the view, and the next missed detection must not count it again: neither
 shrink the belief again, nor take the same probability off its existence. So a track carries one number more, how much
 was put back (`Look.excess`).
 """

@@ -67,7 +67,7 @@ class Look(eqx.Module):
     """The previous look: from where, the tracks that it missed, and the `excess` of each belief in what it showed.
 
     A belief that a view has cut is no Gaussian, and the Gaussian in its place has too much probability where the look
-    was in vain: by `excess`, its share there less that by Bayes, for a target that is there.
+    missed: by `excess`, its share there less that by Bayes, for a target that is there.
     """
 
     pose: Pose
