@@ -106,7 +106,7 @@ class PPOSettings(LearningSettings):
     """Settings of model-free proximal policy optimisation (PPO) by Stable-Baselines3.
 
     The defaults are Stable-Baselines3's, except for the shape of a rollout, of the same size (64 x 32 for 1 x 2048),
-    and the network, which is `AttentionPolicy`. In an iteration `environments` take `rollout_steps` steps each, and Adam
+    and the network, which is `AttentionPolicy`. Per iteration `environments` take `rollout_steps` steps each, and Adam
     updates on them for `update_epochs` epochs in minibatches of `batch`; there are `steps` environment steps in all.
     Adam has a `learning_rate` and gradient norms up to `gradient_bound`, and the ratio of probabilities is clipped to
     1 +- `clip`. Advantages are estimated with a `discount` per step and `gae_lambda`. The policy is validated every
