@@ -305,7 +305,7 @@ def test_a_training_never_ends_below_its_untrained_policy(monkeypatch, tmp_path)
         learner = eqx.tree_at(lambda x: (x.policy, x.epoch), learner, (worse, learner.epoch + count))
         return learner, EpochReport(jnp.array(1.0), jnp.array(1.0), jnp.array(True))
 
-    monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
+    monkeypatch.setattr(training, "compiled", lambda simulate, quick: simulate)
     monkeypatch.setattr(training, "held_out_episodes", lambda experiment, key: None)
     monkeypatch.setattr(training, "advance_of", lambda experiment: advance)
     monkeypatch.setattr(training, "validate", lambda *args: (jnp.array(next(scores)), jnp.array(0.0)))

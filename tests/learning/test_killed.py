@@ -102,7 +102,7 @@ def mortal(monkeypatch):
 def traced_once():
     """Each call of a trainer traces its programs again, and checking every annotation makes a digest slow."""
     known, now = {}, []
-    jit, held_out, advance_of = training.eqx.filter_jit, training.held_out_episodes, training.advance_of
+    jit, held_out, advance_of = training.compiled, training.held_out_episodes, training.advance_of
 
     def episodes(experiment, *arguments):
         now[:] = [type(experiment.training).__name__]  # the first call of a training
@@ -112,7 +112,7 @@ def traced_once():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "advance_of", lambda *of: known.setdefault((now[0], "advance"), advance_of(*of)))
-        patch.setattr(training.eqx, "filter_jit", lambda f: known.setdefault((now[0], f.__qualname__), jit(f)))
+        patch.setattr(training, "compiled", lambda f, quick: known.setdefault((now[0], f.__qualname__), jit(f, quick)))
         patch.setattr(training, "held_out_episodes", episodes)
         patch.setattr(checkpoint, "digest", functools.cache(checkpoint.digest))
         yield

@@ -209,7 +209,7 @@ def stubbed(monkeypatch, script):
         return jax.tree.map(lambda x: jnp.full_like(x, value) if eqx.is_array(x) else x, learner_.policy)
 
     validated, keys = [], {}
-    monkeypatch.setattr(training.eqx, "filter_jit", lambda f: f)
+    monkeypatch.setattr(training, "compiled", lambda simulate, quick: simulate)
     monkeypatch.setattr(training, "held_out_episodes", lambda experiment, key: keys.update(held_out=key))
     monkeypatch.setattr(training, "advance_of", lambda experiment: advance)
     monkeypatch.setattr(training, "validate", lambda *args: [jnp.array(x) for x in validated[-1]])

@@ -12,12 +12,13 @@ import jax
 import numpy as np
 
 from foveate.evaluation.metrics import measures
-from foveate.io.jax_settings import compiled
+from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning.devices import cores
 from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
+from foveate.planning.receding import OpenLoop, Receding
 from foveate.scenario.scenes import Scene, SceneSettings, checked
 from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, Protocol, Trace, Truth, observe
 from foveate.simulation.rollout import rollout
@@ -121,7 +122,12 @@ def _run(problem: Problem, policy: Policy, protocol: Protocol, episodes: Episode
     return jax.vmap(lambda e, k: rollout(problem, policy, e, protocol, k))(episodes, keys)
 
 
-_SIMULATE = {dimension: compiled(_run, dimension) for dimension in (2, 3)}
+_SIMULATE = {quick: compiled(_run, quick) for quick in (False, True)}
+
+
+def compiles_quickly(problem: Problem, policy: Policy) -> bool:
+    """True for a policy in the plane that is no planner, as `compiled` explains."""
+    return problem.agent.space.dimension == 2 and not isinstance(policy, OpenLoop | Receding)
 
 
 @jax.jit
@@ -149,7 +155,7 @@ def evaluate_traces(
     Each core runs batches of `chunk` episodes; `report` takes the number of completed episodes.
     """
     count, keys = len(suite.scenes) * suite.episodes_per_scene, policy_keys(suite)
-    simulate = _SIMULATE[suite.problem.agent.space.dimension]
+    simulate = _SIMULATE[compiles_quickly(suite.problem, policy)]
     # Slices of numpy arrays need no compiled programs.
     inputs = jax.tree.map(np.asarray, (suite.episodes, jax.random.key_data(keys)))
 
@@ -183,8 +189,9 @@ def decision_time(
     """
     observation, key = _first_observation(problem, episode), jax.random.key(0)
     arrays, static = eqx.partition(policy, eqx.is_array)
-    begin = jax.jit(lambda arrays, observation: eqx.combine(arrays, static).start(observation))
-    decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen))
+    options = quick_compilation() if compiles_quickly(problem, policy) else {}
+    begin = jax.jit(lambda arrays, seen: eqx.combine(arrays, static).start(seen), compiler_options=options)
+    decide = jax.jit(lambda arrays, *seen: eqx.combine(arrays, static)(*seen), compiler_options=options)
     memory = begin(arrays, observation)
     decision_s = _median_time(lambda: decide(arrays, observation, memory, key), repeats)
     start_s = _median_time(lambda: begin(arrays, observation), repeats) if with_start else 0.0

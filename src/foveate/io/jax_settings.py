@@ -84,12 +84,13 @@ def quick_compilation() -> dict[str, bool]:
     return {"xla_cpu_use_fusion_emitters": False} if jax.__version__.startswith("0.10.") else {}
 
 
-def compiled(simulate: Callable[..., Any], dimension: int) -> Callable[..., Any]:
-    """`equinox.filter_jit` of a function that simulates robots in the plane (2) or in space (3).
+def compiled(simulate: Callable[..., Any], quick: bool) -> Callable[..., Any]:
+    """`equinox.filter_jit` of a function that simulates robots; `quick` compilation takes half the time.
 
-    In the plane compilation takes half the time, and the program is as fast, with the same results; in space it would
-    take 1.6 times as long.
+    In the plane the program is then as fast, and rounds alike except for the last bits. In space it would take 1.6
+    times as long, and the gradient ascent of a planner would round, and end, otherwise.
     """
     import equinox as eqx
 
-    return eqx.filter_jit(simulate, compiler_options=quick_compilation() if dimension == 2 else {})
+    jit: Any = eqx.filter_jit  # whose types leave out the options of `jax.jit`
+    return jit(simulate, compiler_options=quick_compilation() if quick else {})

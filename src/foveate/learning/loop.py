@@ -49,8 +49,8 @@ def train(
         raise InputError(f"training.algorithm = {training.algorithm!r}: expected one of a JAX learner")
     policy_key, scenes_key, training_key, validation_key = jax.random.split(jax.random.key(seed), 4)
     episodes = held_out_episodes(experiment, scenes_key)
-    dimension = experiment.scenario.dimension
-    score_of = compiled(lambda policy, episodes, key: validate(experiment, policy, episodes, key), dimension)
+    quick = experiment.scenario.dimension == 2
+    score_of = compiled(lambda policy, episodes, key: validate(experiment, policy, episodes, key), quick)
     policy = first_policy(experiment, policy_key)
     if not resume and isinstance(policy, PointerPolicy) and not experiment.begins_with:
         policy = best_preference(policy, lambda policy: score_of(policy, episodes, validation_key)[0])

@@ -23,6 +23,7 @@ from foveate.io.figures import (
     TITLE,
     VERMILLION,
     WIDTH,
+    drawable,
     new_figure,
     own_axes,
     save,
@@ -67,7 +68,7 @@ def trajectory_figure(
     figure = new_figure(width, sum(heights) + 0.15 + 0.18 * legend_rows, dpi)
     rows = figure.subfigures(len(episodes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for row, data in zip(rows, episodes, strict=True):
-        shrink(row.suptitle(describe(data), x=0.01, ha="left", **TITLE), width)
+        shrink(row.suptitle(drawable(describe(data)), x=0.01, ha="left", **TITLE), width)
         alike = [other for other in episodes if other.truth.shape == data.truth.shape]
         box = scene_class(data).limits([other for other in alike if np.allclose(data.truth[:1], other.truth[:1])])
         for column in range(columns):
@@ -84,8 +85,9 @@ def shrink(title: Text, width: float) -> None:
     """Make a title as small as a figure of this width [inches] needs."""
     figure = title.get_figure(root=True)
     assert figure is not None, "a title that is drawn"
+    title.set_parse_math(False)  # drawn as it is, as `literal` does
     room = 0.98 * width * figure.dpi
-    title.set_fontsize(title.get_fontsize() * min(1.0, room / title.get_window_extent().width))
+    title.set_fontsize(float(title.get_fontsize()) * min(1.0, room / title.get_window_extent().width))
 
 
 def row_heights(shapes: Sequence[float], width: float, columns: int) -> list[float]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.evaluation import metrics
-from foveate.evaluation.evaluate import decision_time
+from foveate.evaluation.evaluate import compiles_quickly, decision_time
 from foveate.evaluation.metrics import mean_or_zero
 from foveate.experiment.experiment import Experiment
 from foveate.io.jax_settings import compiled
@@ -32,7 +32,7 @@ MAX_ROUNDING = 0.05
 VERSION = 1
 """Version of the files of replays."""
 
-_SIMULATE = {dimension: compiled(rollout, dimension) for dimension in (2, 3)}
+_SIMULATE = {quick: compiled(rollout, quick) for quick in (False, True)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,9 +172,8 @@ def _states(problem: Problem, slots: Slots) -> np.ndarray:
 
 def drive(ready: PreparedReplay, method: str, policy: Policy) -> tuple[ReplayRow, Trace]:
     """Drive one method through the recording; return its row, and the trace as numpy arrays."""
-    trace = _SIMULATE[ready.problem.agent.space.dimension](
-        ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed)
-    )
+    simulate = _SIMULATE[compiles_quickly(ready.problem, policy)]
+    trace = simulate(ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed))
     trace = jax.tree.map(np.asarray, trace)
     return _row(ready, method, trace, decision_time(ready.problem, policy, ready.episode)), trace
 
