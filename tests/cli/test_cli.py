@@ -219,7 +219,7 @@ def test_an_interrupted_verdict_leaves_the_training(
 
 
 @pytest.mark.slow
-def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path):
+def test_evaluate_writes_rows_that_keep_the_contract(stored: Path, tmp_path: Path):
     scenes = tmp_path / "scenes.json"
     rows = [
         {"id": "two", "agent": [0, 0, 0.5], "targets": [[1, 1], [-5, 2]], "drift": [[0.1, 0], [0, 0]], "horizon": 4},
@@ -229,7 +229,7 @@ def test_evaluate_writes_rows_that_keep_the_contract(run: Path, tmp_path: Path):
     out = tmp_path / "out.json"
     again = tmp_path / "scenes-again.json"
     arguments = ["--scenes", str(scenes), "--method", "policy", "nearest", "--episodes", "2"]
-    assert main(["evaluate", str(run), *arguments, "--json", str(out), "--write-scenes", str(again)]) == 0
+    assert main(["evaluate", str(stored), *arguments, "--json", str(out), "--write-scenes", str(again)]) == 0
     data = json.loads(out.read_text())
     assert len(data["rows"]) == 2 * 2 * 2 * 2
     assert {row["score"] for row in data["rows"] if row["targets"] == 0} == {None}
@@ -257,11 +257,11 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_plan_writes_rows_that_keep_the_contract(
-    options: tuple[str, ...], method: str, run: Path, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    options: tuple[str, ...], method: str, stored: Path, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     out = tmp_path / "out.json"
-    arguments = ["plan", "--scenes", str(scenes), "--run", str(run), *options, "--protocol", "true", "--json", str(out)]
+    arguments = ["plan", "--scenes", str(scenes), "--run", str(stored), *options, "--protocol", "true", "--json", str(out)]
     assert main(arguments) == 0
     rows = json.loads(out.read_text())["rows"]
     assert {row["method"] for row in rows} == {method}
