@@ -261,7 +261,18 @@ def test_plan_writes_rows_that_keep_the_contract(
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     out = tmp_path / "out.json"
-    arguments = ["plan", "--scenes", str(scenes), "--run", str(stored), *options, "--protocol", "true", "--json", str(out)]
+    arguments = [
+        "plan",
+        "--scenes",
+        str(scenes),
+        "--run",
+        str(stored),
+        *options,
+        "--protocol",
+        "true",
+        "--json",
+        str(out),
+    ]
     assert main(arguments) == 0
     rows = json.loads(out.read_text())["rows"]
     assert {row["method"] for row in rows} == {method}
