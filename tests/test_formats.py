@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from formats.make import NONE, RUNS, TWO, decision
+from helpers.compilation import compile_least
 
 from foveate.evaluation.summary import read_result
 from foveate.evaluation.verdict import read_verdict
@@ -73,8 +74,9 @@ def test_a_pointer_policy_of_version_0_1_is_trained_again(copied):
 
 
 @pytest.mark.slow
-def test_a_run_older_than_a_setting_resumes_twice(tmp_path):
+def test_a_run_older_than_a_setting_resumes_twice(tmp_path, monkeypatch):
     """Its config.toml keeps the digest that it had, and what is saved later goes by that, too."""
+    compile_least(monkeypatch)
     run, experiment = tmp_path / "run", RUNS["policy-gradient"]
 
     def stop(check, total):
