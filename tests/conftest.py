@@ -30,6 +30,8 @@ install_import_hook("foveate", "beartype.beartype")
 from foveate.io.jax_settings import compile_fast  # noqa: E402
 
 compile_fast()
+# A sixth less again; processes that tests start inherit it.
+os.environ["XLA_FLAGS"] += " --xla_llvm_force_inline_before_split=false --xla_cpu_parallel_codegen_split_count=1"
 
 
 def chain_mixing_types(*parts: optax.GradientTransformation) -> optax.GradientTransformation:

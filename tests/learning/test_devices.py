@@ -126,6 +126,7 @@ def test_two_devices_of_this_process_equal_one_bit_for_bit(tmp_path, monkeypatch
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 def test_many_targets_on_one_thread_and_on_sixteen_come_out_the_same(tmp_path):
     """XLA cuts long products up by the number of cores, which NPROC tells it; micro-batches are too small for that
     (all 32 episodes at once would not be)."""
@@ -276,6 +277,7 @@ def free_port() -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("alone")
 def test_two_processes_equal_one_until_one_is_lost(tmp_path):
     """The first writes; when the second is killed it says so, and its last checkpoint is whole."""

@@ -29,7 +29,7 @@ from foveate.learning import loop as training
 from foveate.learning.run_files import RunFiles, stored_run
 from foveate.learning.train import train
 
-KILLS = 12
+KILLS = 6
 KINDS = ("write .jsonl", "write .tmp", "fsync", "replace")
 """Operations on the disk. The first kills are at one of each kind, the others at random."""
 

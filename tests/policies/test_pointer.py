@@ -113,7 +113,8 @@ def test_the_world_frame_does_not_matter(name):
 def test_a_region_that_no_training_has_told_of_changes_nothing():
     policy, parts = SMALL.policy(SCENARIOS["plane"].problem(), KEY), scene(2, 4)
     bounded = replace(SCENARIOS["plane"], region=RegionSettings(low_m=(-9.0, -9.0), high_m=(30.0, 9.0), targets="free"))
-    here, there = (policy.tokens(seen(scenario, *parts)) for scenario in (SCENARIOS["plane"], bounded))
+    tokens = eqx.filter_jit(lambda scenario: policy.tokens(seen(scenario, *parts)))
+    here, there = (tokens(scenario) for scenario in (SCENARIOS["plane"], bounded))
     assert (here.features != there.features).any(), "it is told"
     np.testing.assert_array_equal(policy.modes(there).log_weight, policy.modes(here).log_weight)
 
