@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from helpers.compilation import compile_least
+from helpers.compilation import compile_least, time_no_decision
 from PIL import Image
 
 import foveate
@@ -165,6 +165,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("foveate.experiment.resolve.TRAINED", tmp_path / "trained")
     monkeypatch.chdir(tmp_path)
     compile_least(monkeypatch)
+    time_no_decision(monkeypatch)
     return tmp_path
 
 

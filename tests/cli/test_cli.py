@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import check_contract, failure
+from helpers.compilation import time_no_decision
 
 import foveate
 from foveate.cli.main import main
@@ -219,7 +220,8 @@ def test_an_interrupted_verdict_leaves_the_training(
 
 
 @pytest.mark.slow
-def test_evaluate_writes_rows_that_keep_the_contract(stored: Path, tmp_path: Path):
+def test_evaluate_writes_rows_that_keep_the_contract(stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    time_no_decision(monkeypatch)
     scenes = tmp_path / "scenes.json"
     rows = [
         {"id": "two", "agent": [0, 0, 0.5], "targets": [[1, 1], [-5, 2]], "drift": [[0.1, 0], [0, 0]], "horizon": 4},
@@ -260,6 +262,8 @@ def test_plan_writes_rows_that_keep_the_contract(
     options: tuple[str, ...], method: str, stored: Path, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    if method == "refine-2":
+        time_no_decision(monkeypatch)
     out = tmp_path / "out.json"
     arguments = [
         "plan",
@@ -308,7 +312,8 @@ def test_plan_rejects_scenes_that_do_not_fit(
 
 
 @pytest.mark.slow
-def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path):
+def test_replay_writes_its_files(run: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    time_no_decision(monkeypatch)
     out = tmp_path / "replay"
     places = {"walkers.csv": recording, "runs/walkers": run, "runs/walkers/replay": out}
     assert main([*of_the_page("replay", places), "--method", "policy", "still"]) == 0
@@ -352,8 +357,11 @@ def test_wrong_input_is_one_line(stored: Path, recording: Path, tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_a_recording_in_space_is_fitted_trained_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_recording_in_space_is_fitted_trained_and_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     """A recording with z, its fit, a training of one epoch, its scenes, its replay and pictures of both."""
+    time_no_decision(monkeypatch)
     recording, config, run = tmp_path / "birds.csv", tmp_path / "birds.toml", tmp_path / "run"
     rows = [f"{0.5 * k},a,{-5 + 0.5 * k},2,{1 + 0.1 * k}\n{0.5 * k},b,1,{4 - 0.4 * k},2\n" for k in range(24)]
     recording.write_text("time_s,track_id,x_m,y_m,z_m\n" + "".join(rows))

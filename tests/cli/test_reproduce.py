@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from helpers.commands import check_contract, failure
+from helpers.compilation import time_no_decision
 
 from foveate.cli.main import main
 from foveate.evaluation import oracle, verdict
@@ -41,6 +42,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
     omniscient = Fixed(name="omniscient", family="omniscient", make=nearest)
     methods = (omniscient, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
+    time_no_decision(monkeypatch)
     monkeypatch.setattr(study, "table1", scenes)
     monkeypatch.setattr(study, "paper_methods", lambda budget: methods)
     monkeypatch.setattr(oracle, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
