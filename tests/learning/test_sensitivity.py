@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from foveate.experiment.presets import QUADROTOR
 from foveate.geometry import fov, fov_planar, fov_spatial, lie
 from foveate.geometry.space import SPACES
 from foveate.learning.sensitivity import policy_gradient
@@ -18,7 +19,10 @@ from foveate.models.sensor import PAPER_SOFTNESS, Sensor, Softness
 from foveate.models.target import LinearGaussian
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.heuristics import Lawnmower
+from foveate.scenario.obstacles import ShapeObstacles
 from foveate.scenario.scenario import Scenario
+from foveate.scenario.sensor import SensorSettings
+from foveate.simulation.episodes import training_episode
 from foveate.simulation.planar_in_space import EmbeddedPolicy, embedded_episode, embedded_problem
 from foveate.simulation.records import Episode, Protocol
 from foveate.simulation.rollout import log_dets
@@ -136,6 +140,25 @@ def test_the_paper_s_planar_policy_through_the_lift():
 
 
 @pytest.mark.slow
+def test_a_sensor_of_angles_and_ranges():
+    """What a measurement is worth then depends on the pose through its own coordinates."""
+    sensor = SensorSettings(
+        measures="azimuth-elevation-range", std_range_m=0.2, std_bearing_rad=0.05, std_elevation_rad=0.05
+    )
+    scenes = replace(QUADROTOR.scenes, initial_error="consistent", targets_min=2, targets_max=2, steps=3)
+    problem = replace(QUADROTOR, sensor=sensor, scenes=scenes).problem()
+    policy = SMALL.policy(problem, jax.random.key(0))
+    episode = training_episode(problem, scenes, jax.random.key(1), noise=False)
+    softness = Softness(5.0, 0.6)  # far targets count, too
+    score, gradient = eqx.filter_jit(policy_gradient)(problem, policy, episode, softness)
+    run = eqx.filter_jit(eqx.filter_value_and_grad(lambda p: objective(problem, p, episode, softness)))
+    value, reverse = run(policy)
+    np.testing.assert_allclose(score, value, rtol=1e-12)
+    assert np.linalg.norm(flat(reverse)) > 1e-3
+    np.testing.assert_allclose(flat(gradient), flat(reverse), rtol=0, atol=1e-9 * np.linalg.norm(flat(reverse)))
+
+
+@pytest.mark.slow
 def test_the_printed_form_is_partial():
     """Without the way of theta through the policy's inputs the first step is right, and only that."""
     problem, policy, episode = made("six axes, cone", steps=3)
@@ -153,6 +176,9 @@ def test_unsupported_problems_are_rejected():
         policy_gradient(Scenario().problem(), policy, episode)
     with pytest.raises(ValueError, match="free motion"):
         policy_gradient(replace(problem, keep_off_m=jnp.asarray(1.0)), policy, episode)
+    walled = replace(QUADROTOR, obstacles=ShapeObstacles(boxes=((0.0, 0.0, 0.0, 1.0, 1.0, 1.0),))).problem()
+    with pytest.raises(ValueError, match="nor obstacles"):
+        policy_gradient(walled, policy, episode)
     with pytest.raises(ValueError, match="without memory"):
         policy_gradient(problem, Lawnmower(problem, 0.5), episode)
     with pytest.raises(ValueError, match="noise-free"):

@@ -13,6 +13,7 @@ from foveate.planning.named import heuristic_policy
 from foveate.recordings.formats import load_recording
 from foveate.recordings.replay import drive, prepare_replay
 from foveate.recordings.starts import default_agent_start, random_agent_starts
+from foveate.scenario.sensor import SensorSettings
 from foveate.scenario.target import LinearTarget, VelocityTarget
 
 
@@ -165,3 +166,30 @@ def test_dimensions_must_agree(scenario, tmp_path):
     path.write_text("time_s,track_id,x_m,y_m,z_m\n0,a,0,0,0\n1,a,0,0,1\n")
     with pytest.raises(ValueError, match="positions have 3 numbers"):
         prepare_replay(scenario, load_recording(path), [0.0, 0.0, 0.0])
+
+
+def test_a_sensor_of_ranges_and_bearings_sees_the_same_and_errs_as_it_measures(scenario, recording):
+    """By geometry: right after a look, range and bearing of the estimate are within 5 deviations of the truth's."""
+    own = SensorSettings(measures="range-bearing", std_range_m=0.05, std_bearing_rad=0.01)
+    ready = [
+        prepare_replay(replace(scenario, sensor=sensor), recording, [0.0, 0.0, 0.0], 2.0, gate=None)
+        for sensor in (scenario.sensor, own)
+    ]
+    still = [heuristic_policy("still", each.problem, DEPTH) for each in ready]
+    (_, expected), (row, trace) = (drive(each, "still", policy) for each, policy in zip(ready, still, strict=True))
+    np.testing.assert_array_equal(trace.visible, expected.visible)
+    seen = np.asarray(trace.visible)
+    assert seen.sum() > 20
+    estimate, truth = (np.asarray(x)[1:][seen][:, :2] for x in (trace.mean, ready[1].truth))
+    ranges, bearings = (np.stack([f(x) for x in (estimate, truth)]) for f in (norms, angles))
+    assert np.abs(np.diff(ranges, axis=0)).max() < 5 * 0.05
+    assert np.abs(np.diff(bearings, axis=0)).max() < 5 * 0.01
+    assert row.nees_seen < 6
+
+
+def norms(places: np.ndarray) -> np.ndarray:
+    return np.hypot(*places.T)
+
+
+def angles(places: np.ndarray) -> np.ndarray:
+    return np.arctan2(places[:, 1], places[:, 0])

@@ -1,5 +1,7 @@
 """The environment against `rollout`: the same step, the same scores, and new episodes in a batch."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ from foveate.experiment.presets import QUADROTOR, TrainingSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import SensorSettings
 from foveate.simulation import environment as under_test
 from foveate.simulation.environment import Environment, begin, observation, renew, reset, step
 from foveate.simulation.episodes import training_episode
@@ -21,10 +24,15 @@ PLANAR = Scenario(scenes=SceneSettings(targets_min=1, targets_max=3))
 STREET = Scenario(
     scenes=SceneSettings(targets_min=1, targets_max=3, half_side_per_target_m=0.5, jitter_m_s=0.8, birth_and_death=True)
 )
+RANGING = Scenario(
+    sensor=SensorSettings(measures="range-bearing", std_range_m=0.2, std_bearing_rad=0.05, range_growth_per_m=0.1),
+    scenes=replace(PLANAR.scenes, initial_error="consistent"),
+)
 CASES = {
     "surrogate, no noise": (PLANAR, SURROGATE, False),
     "true": (PLANAR, TRUE, True),
     "two levels at the truth, targets that come and go": (STREET, SOFT, True),
+    "true, ranges and bearings": (RANGING, TRUE, True),
     "true, in space": (QUADROTOR, TRUE, True),
 }
 

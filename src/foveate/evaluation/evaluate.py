@@ -29,7 +29,16 @@ that hardly pads, leave work for every core. Other sizes round differently."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class Recorded:
+    """A row of a table that a file holds, too."""
+
+    def record(self) -> dict[str, Any]:
+        """All fields as plain values; `contacts` only among obstacles."""
+        return {name: value for name, value in asdict(self).items() if name != "contacts" or value is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Recorded):
     """One episode of one method under one protocol.
 
     `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both None
@@ -62,10 +71,6 @@ class Row:
     step_time_s: float
     objective: float | None = None
     contacts: int | None = None
-
-    def record(self) -> dict[str, Any]:
-        """All fields as plain values; `contacts` only among obstacles."""
-        return {name: value for name, value in asdict(self).items() if name != "contacts" or value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,14 +1,14 @@
 """Summarise rows of episodes: one summary a method, protocol, motion and number of targets."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from foveate.evaluation.evaluate import Row
+from foveate.evaluation.evaluate import Recorded, Row
 from foveate.evaluation.metrics import chi_square_band
 from foveate.evaluation.statistics import mean_interval
 from foveate.io.files import file_error, read_document, write_document
@@ -28,7 +28,7 @@ Band = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
+class Summary(Recorded):
     """One cell: a method, a protocol, a motion, a number of targets.
 
     `std` is over episodes; `ci95` Student's 95 % interval of the mean, scenes taken as independent; `nees_band`
@@ -62,10 +62,6 @@ class Summary:
     normalised_score: float | None = None
     objective: float | None = None
     contacts: float | None = None
-
-    def record(self) -> dict[str, Any]:
-        """All fields as plain values; `contacts` only among obstacles."""
-        return {name: value for name, value in asdict(self).items() if name != "contacts" or value is not None}
 
     @property
     def deviation(self) -> float | None:

@@ -54,15 +54,18 @@ def policy_gradient(
     """sum_j log det Y_K^(j) of a noise-free episode in space [nat], and its gradient by the policy's parameters.
 
     The gradient has the structure of the policy's floating-point arrays. Memory grows as n_p n n_y^2. Raises InputError
-    for a planar problem, one whose agent keeps borders or off targets, an episode with truth or arrivals, and a policy
-    with memory.
+    for a planar problem, one with obstacles or whose agent keeps borders or off targets, an episode with truth or
+    arrivals, and a policy with memory.
     """
     if problem.agent.space.dimension != 3:
         raise InputError(
             "Proposition 1 is stated for SE(3): embed a planar problem (foveate.simulation.planar_in_space)"
         )
-    if problem.bounds_agent or problem.keep_off_m is not None:
-        raise InputError("Proposition 1 assumes free motion: expected neither a region that stops it nor keep_off_m")
+    if problem.bounds_agent or problem.keep_off_m is not None or problem.obstacles is not None:
+        raise InputError(
+            "Proposition 1 assumes free motion and sight: expected neither a region that stops the agent, keep_off_m "
+            "nor obstacles"
+        )
     if episode.truth is not None or episode.arrivals is not None:
         raise InputError("Proposition 1 assumes a noise-free episode: expected neither truth nor arrivals")
     parameters, rest = eqx.partition(policy, eqx.is_inexact_array)
