@@ -13,6 +13,7 @@ from pathlib import Path
 import jax
 import optax
 import pytest
+from helpers.compilation import compile_least
 from jaxtyping import install_import_hook
 
 TESTS = Path(__file__).parent
@@ -79,8 +80,14 @@ RUN_LONGER = {
 def compiled_quickly(request):
     """What runs so little need not run fast: XLA leaves most optimizations out, and compiles in half the time."""
     path, before = request.path.relative_to(TESTS), jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", not RUN_LONGER & {path.parts[0], path.as_posix()})
-    yield
+    if RUN_LONGER & {path.parts[0], path.as_posix()}:
+        jax.config.update("jax_disable_most_optimizations", False)
+        yield
+    else:
+        jax.config.update("jax_disable_most_optimizations", True)
+        with pytest.MonkeyPatch.context() as patch:
+            compile_least(patch)
+            yield
     jax.config.update("jax_disable_most_optimizations", before)
 
 

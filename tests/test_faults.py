@@ -89,7 +89,7 @@ def test_targets_that_appear_and_leave_at_every_step(tmp_path):
     assert np.isfinite(trace.mean).all()
     assert np.isfinite(trace.log_det).all()
     tracker, pose = Tracker(WIDE, forget_after_s=0.5), np.zeros(3)
-    for k in range(300):
+    for k in range(60):
         tracker.predict()
         tracker.update(pose, {(k, j): [2.0 + j, j] for j in range(k % 5)})
         assert len(tracker.ids) <= 8, "of this step and of the one before"

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from helpers.compilation import time_no_decision
 from PIL import Image
 
 import foveate
@@ -19,7 +20,8 @@ from foveate.evaluation.verdict import verdict_of, write_verdict
 from foveate.experiment.checkpoint import load_run, save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
-from foveate.experiment.run_folder import BEST
+from foveate.experiment.resolve import first_policy
+from foveate.experiment.run_folder import BEST, Outcome
 from foveate.io.records import from_table
 from foveate.recordings.formats import load_recording
 from foveate.scenario.scenes import read_scenes
@@ -128,11 +130,15 @@ def test_the_python_of_every_page_runs_somewhere():
 
 def fresh(folder: Path, preset: str) -> None:
     """A run folder with the initial weights of a preset."""
-    experiment = PRESETS[preset]
-    (folder / BEST).parent.mkdir(parents=True)
-    write_config(folder, experiment)
-    policy = experiment.new_policy(jax.random.key(0))
-    save_tree(folder / BEST, policy, experiment, "policy", {})
+    left_untrained(PRESETS[preset], folder)
+
+
+def left_untrained(experiment: Experiment, out: Path, *_: object) -> Outcome:
+    """What a training leaves in its run folder, with the weights that it begins with."""
+    (out / BEST).parent.mkdir(parents=True)
+    write_config(out, experiment)
+    save_tree(out / BEST, first_policy(experiment, jax.random.key(0)), experiment, "policy", {})
+    return Outcome(epochs=EPOCHS, best_epoch=0, best_score=0.0, rollbacks=0, stopped="")
 
 
 def judged(run: Path, quiet: bool) -> foveate.Verdict:
@@ -158,7 +164,14 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("foveate.experiment.learners.ValidationSettings.held_out", 4)
     monkeypatch.setattr("foveate.experiment.resolve.TRAINED", tmp_path / "trained")
     monkeypatch.chdir(tmp_path)
+    time_no_decision(monkeypatch)
     return tmp_path
+
+
+@pytest.fixture
+def untrained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings end before their first iteration: that of the demo, and those of tests/test_api.py, are real."""
+    monkeypatch.setattr("foveate.learning.train.train", left_untrained)
 
 
 def run_python(page: Path) -> dict[str, Any]:
@@ -170,6 +183,7 @@ def run_python(page: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("untrained")
 def test_the_tutorial_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
     page = ROOT / "docs" / "tutorial.md"
@@ -204,6 +218,7 @@ def test_the_page_on_space_runs(reader: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("untrained")
 def test_the_page_on_any_robot_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     fresh(reader / "trained" / "any", "any")
     left = run_python(ROOT / "docs" / "any.md")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 from helpers.commands import check_contract, failure
+from helpers.compilation import time_no_decision
 
 from foveate.cli.main import main
-from foveate.evaluation import oracle
+from foveate.evaluation import oracle, verdict
 from foveate.experiment.presets import PRESETS
-from foveate.names import HEURISTICS
 from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import PlanSettings
 from foveate.policies.attention import AttentionSettings
@@ -42,6 +42,7 @@ def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
     omniscient = Fixed(name="omniscient", family="omniscient", make=nearest)
     methods = (omniscient, Learned(name="paper", training=Training(name="paper", experiment=TINY)))
+    time_no_decision(monkeypatch)
     monkeypatch.setattr(study, "table1", scenes)
     monkeypatch.setattr(study, "paper_methods", lambda budget: methods)
     monkeypatch.setattr(oracle, "OMNISCIENT", {"surrogate": FEW, "true": FEW})
@@ -182,8 +183,13 @@ check_every = 1
 
 
 @pytest.mark.slow
-def test_the_suite_of_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Two worlds, one of which no planner can plan in: a page, JSON, and a second run that does nothing again."""
+def test_the_suite_of_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Two worlds, one of which no planner can plan in: a page, JSON, and a second run that does nothing again.
+
+    Two heuristics stand for all, which tests/evaluation/test_verdict.py judges.
+    """
+    few = ("still", "nearest")
+    monkeypatch.setattr(verdict, "HEURISTICS", few)
     folder, out, result = tmp_path / "worlds", tmp_path / "out", tmp_path / "result.json"
     folder.mkdir()
     (folder / "plain.toml").write_text(WORLD)
@@ -197,7 +203,7 @@ def test_the_suite_of_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert (data["quick"], data["training_seeds"]) == (True, [0])
     plain, scheduled = data["worlds"]
     assert (plain["world"], scheduled["world"]) == ("plain", "scheduled")
-    assert {lead["method"] for lead in plain["heuristics"]} == set(HEURISTICS)
+    assert {lead["method"] for lead in plain["heuristics"]} == set(few)
     assert plain["planner"]["method"] == "icr-4"
     assert scheduled["planner"] is None
     assert "schedule" in scheduled["no_planner"]

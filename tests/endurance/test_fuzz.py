@@ -97,7 +97,7 @@ LARGE = {
             {
                 "format": "foveate-scenes",
                 "version": 1,
-                "scenes": [{"id": f"s{i}", "agent": [0, 0, 0], "targets": []} for i in range(6_000)],
+                "scenes": [{"id": f"s{i}", "agent": [0, 0, 0], "targets": []} for i in range(2_000)],
             }
         ),
     ),
@@ -107,7 +107,7 @@ LARGE = {
         '{"format": "foveate-scenes", "version": 1, "digest": "x", "scenes": ' + "[" * 900 + "]" * 900 + "}",
     ),
     "recording, one line": ("recording", "time_s,track_id,x_m,y_m\n" + "9" * MEBIBYTE),
-    "recording, tracks": ("recording", "time_s,track_id,x_m,y_m\n" + "".join(f"0,{i},0,0\n" for i in range(80_000))),
+    "recording, tracks": ("recording", "time_s,track_id,x_m,y_m\n" + "".join(f"0,{i},0,0\n" for i in range(30_000))),
     "recording, a long time": ("recording", "time_s,track_id,x_m,y_m\n0,a,0,0\n1e12,a,0,0\n"),
     "toml, deep": ("toml", "a = " + "[" * (MEBIBYTE - 100)),
     "toml, dotted": ("toml", ".".join("a" * (MEBIBYTE // 2)) + " = 1"),
@@ -117,6 +117,8 @@ LARGE = {
     "toml, keys": ("toml", "".join(f"k{i} = 1\n" for i in range(70_000))),
     "toml, a number": ("toml", "[scenario]\ntau_s = " + "9" * (MEBIBYTE - 100)),
 }
+SHARE = {"scenes, many": 1 / 3, "recording, tracks": 3 / 8}
+"""Of the time, where not as much is read: these are rows that each take long."""
 
 
 @pytest.mark.slow
@@ -127,7 +129,8 @@ def test_large_files_are_read_within_seconds(tmp_path, read_by, name):
     began = time.thread_time()  # not that of what other tests have left running
     rejected_or_taken(read_by[kind], tmp_path / "large", text)
     # Here every annotation is checked, too; where lines are counted, Python takes twice as long again.
-    assert time.thread_time() - began < (SLOWEST_S if sys.gettrace() is None else 2 * SLOWEST_S)
+    allowed_s = SHARE.get(name, 1.0) * (SLOWEST_S if sys.gettrace() is None else 2 * SLOWEST_S)
+    assert time.thread_time() - began < allowed_s
 
 
 def test_a_small_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path, read_by):

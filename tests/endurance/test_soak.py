@@ -1,4 +1,4 @@
-"""A minute of the loop that `make soak` runs for an hour, and a live view with twenty visits."""
+"""A third of a minute of the loop that `make soak` runs for an hour, and a live view with twenty visits."""
 
 import os
 import subprocess
@@ -12,17 +12,17 @@ TESTS = Path(__file__).parents[1]
 
 
 @pytest.mark.slow
-def test_a_minute_of_the_loop_stays_within_its_bounds():
-    """In a process of its own, as `make soak` does it: here every annotation would be checked 6000 times."""
-    command = [sys.executable, "-m", "endurance.soak", "--seconds", "60", "--tabs", "0", "--seed", "1"]
+def test_a_third_of_a_minute_of_the_loop_stays_within_its_bounds():
+    """In a process of its own, as `make soak` does it: here every annotation would be checked 2000 times."""
+    command = [sys.executable, "-m", "endurance.soak", "--seconds", "20", "--tabs", "0", "--seed", "1"]
     done = subprocess.run(command, cwd=TESTS, capture_output=True, text=True, check=False)
     said = [line for line in done.stdout.splitlines() if "s of a core" not in line]
-    assert said[0].startswith("6000 steps, "), done.stderr
+    assert said[0].startswith("2000 steps, "), done.stderr
     # A machine that runs other tests at the same time has no p99 to speak of.
     assert [line for line in said if "NOT AS IT SHOULD BE" in line and "p99" not in line] == []
     ids, outliers = (int(part.split()[0]) for part in said[0].split(", ")[1:3])
-    assert ids > 20, "they come and go"
-    assert outliers > 20
+    assert ids > 10, "they come and go"
+    assert outliers > 5
 
 
 @pytest.mark.slow

@@ -25,13 +25,14 @@ def test_an_episode_by_reset_and_step():
 
 def test_several_side_by_side_and_a_derivative():
     environment = foveate.environment("paper", protocol="surrogate", noise=False)
-    states, _ = jax.vmap(environment.reset)(jax.random.split(jax.random.key(1), 4))
+    states, _ = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(1), 4))
 
+    @jax.jit
     def mean_reward(actions):
         return jnp.mean(jax.vmap(environment.step)(states, actions)[1].reward)
 
     actions = jnp.full((4, 2), 0.1)
-    gradient = np.asarray(jax.grad(mean_reward)(actions))
+    gradient = np.asarray(jax.jit(jax.grad(mean_reward))(actions))
     h = 1e-3
     up, down = (mean_reward(actions.at[2, 0].add(sign * h)) for sign in (1, -1))
     assert gradient[2, 0] == pytest.approx(float(up - down) / (2 * h), rel=2e-2, abs=1e-5)

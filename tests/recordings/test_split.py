@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compilation import time_no_decision
 from helpers.recordings import recording as made
 from helpers.recordings import track
 
@@ -121,8 +122,9 @@ def test_planners_have_the_names_of_their_rows():
 
 
 @pytest.mark.slow  # plans at every step
-def test_planners_stand_beside_the_heuristics(recording, scenario):
+def test_planners_stand_beside_the_heuristics(recording, scenario, monkeypatch):
     """Each planner runs as the one made by hand; it sees more than standing still."""
+    time_no_decision(monkeypatch)
     own = foveate.heuristic("nearest", scenario)
     options = {"agent_start": (0.0, 0.0, 0.0), "end": 8.0, "progress": False}
     result = foveate.replay(own, recording, method=["still", "icr-2", "refine-3"], **options)
