@@ -73,7 +73,7 @@ def test_a_pointer_policy_of_version_0_1_is_trained_again(copied):
 
 
 @pytest.mark.slow
-def test_a_run_older_than_a_setting_resumes_twice(tmp_path, monkeypatch):
+def test_a_run_older_than_a_setting_resumes_twice(tmp_path):
     """Its config.toml keeps the digest that it had, and what is saved later goes by that, too."""
     run, experiment = tmp_path / "run", RUNS["policy-gradient"]
 
