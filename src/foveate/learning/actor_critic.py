@@ -142,7 +142,8 @@ def loss(
         return log_density(modes, action, action_std * tokens.unit), entropy(modes)
 
     new, choice = jax.vmap(density)(rows.tokens, rows.action)
-    ratio = jnp.exp(new - rows.log_density)
+    # Beyond e^20 the ratio is clipped anyway; where it overflows, its derivative would be 0 times infinity.
+    ratio = jnp.exp(jnp.clip(new - rows.log_density, -20.0, 20.0))
     bounded = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
     gain = jnp.minimum(ratio * rows.advantage, bounded * rows.advantage)
     error = jax.vmap(critic.normalised)(rows.tokens) - rows.value_target
