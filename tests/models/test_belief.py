@@ -7,7 +7,6 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
-from foveate.io.jax_settings import quick_compilation
 from foveate.models.belief import Belief, correct_mean, entropy, predict_information, update_information
 from foveate.models.target import LinearGaussian
 from foveate.scenario.target import integrators
@@ -164,26 +163,3 @@ def test_entropy(n_y):
     log_det = -np.linalg.slogdet(P)[1]
     expected = multivariate_normal(np.zeros(n_y), P).entropy()
     assert entropy(log_det, n_y) == pytest.approx(expected, abs=1e-10)
-
-
-@pytest.mark.parametrize(
-    "options", [{}, quick_compilation() | {"xla_backend_optimization_level": 1}], ids=["", "quick"]
-)
-def test_targets_measured_once_and_of_unknown_velocity_are_predicted_in_float32(options):
-    """Whitened by the exact covariance, in float64: two versions of a pivot would make the information indefinite."""
-    rng, identity, tau, q = np.random.default_rng(0), np.eye(2), 0.5, 1e-3
-    A = np.kron([[1.0, tau], [0.0, 1.0]], identity)
-    W = q * np.kron([[tau**3 / 3, tau**2 / 2], [tau**2 / 2, tau]], identity)
-    informations = []
-    for t, speed, place in zip(rng.uniform(0, 20, 500), 10 ** rng.uniform(-1, 1.5, 500), 10 ** rng.uniform(-3, 0, 500)):
-        moved = np.kron([[place + speed * t**2, speed * t], [speed * t, speed]], identity)
-        grown = q * np.kron([[t**3 / 3, t**2 / 2], [t**2 / 2, t]], identity)
-        turn = np.eye(4) + 0.02 * rng.normal(size=(4, 4))
-        informations.append(np.linalg.inv(turn @ (moved + grown) @ turn.T))
-    single = np.array(informations, np.float32)
-    exact = A @ np.linalg.inv(single.astype(float)) @ A.T + W
-    motion = LinearGaussian(*(jnp.asarray(x, jnp.float32) for x in (A, np.zeros((4, 1)), W, np.eye(2, 4))))
-    found = jax.jit(jax.vmap(lambda Y: predict_information(Y, motion)), compiler_options=options)(single)
-    root = np.linalg.cholesky(exact)
-    whitened = root.swapaxes(-1, -2) @ np.asarray(found, float) @ root
-    assert np.abs(np.linalg.eigvalsh(whitened) - 1.0).max() < 0.02

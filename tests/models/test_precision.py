@@ -9,8 +9,9 @@ import pytest
 
 from foveate.experiment.presets import PRESETS
 from foveate.geometry.linalg import log_det_spd
+from foveate.io.jax_settings import quick_compilation
 from foveate.models.belief import predict_information, update_information
-from foveate.models.precision import _Motion, _unseen, rounding_error, warn_of_rounding
+from foveate.models.precision import _Motion, _unseen, rounding_error, rounds_alike, warn_of_rounding
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.target import AccelerationTarget, DriftTarget, LinearTarget, VelocityTarget
 
@@ -113,3 +114,28 @@ def test_an_ill_conditioned_system_is_told_in_float64_too():
     target = LinearTarget(A=rows(A), B=rows(B), W=rows(1e-6 * np.eye(6)), Z=rows(Z), prior=rows(np.eye(6)))
     scenario = Scenario(target=target)
     assert rounding_error(in_precision(True, scenario), 10_000)[0] > 0.05
+
+
+@pytest.mark.parametrize("target", [DriftTarget(), VelocityTarget(kind="constant_velocity", acceleration_m2_s3=1e-3)])
+def test_beliefs_are_predicted_rightly_with_the_options_of_their_compilation(target):
+    """In float32, whitened by the exact covariance: targets that were measured once, 0 to 20 s ago."""
+    problem, rng = Scenario(tau_s=0.5, target=target).problem(), np.random.default_rng(0)
+    assert rounds_alike(problem) == isinstance(target, DriftTarget)
+    quick = quick_compilation() | {"xla_backend_optimization_level": 1}
+    options, n_y = quick if rounds_alike(problem) else {}, problem.motion.state_size
+    informations = []
+    for _ in range(500):
+        t, speed, place = rng.uniform(0, 20), 10 ** rng.uniform(-1, 1.5), 10 ** rng.uniform(-3, 0)
+        moved = [[place + speed * t**2, speed * t], [speed * t, speed]]
+        grown = 1e-3 * np.array([[t**3 / 3, t**2 / 2], [t**2 / 2, t]])
+        covariance = np.kron(moved + grown, np.eye(2))[:n_y, :n_y]
+        turn = np.eye(n_y) + 0.02 * rng.normal(size=(n_y, n_y))
+        informations.append(np.linalg.inv(turn @ covariance @ turn.T))
+    single = np.array(informations, np.float32)
+    A, W = np.asarray(problem.motion.A, np.float32), np.asarray(problem.motion.W, np.float32)
+    exact = A.astype(float) @ np.linalg.inv(single.astype(float)) @ A.T.astype(float) + W
+    motion = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), problem.motion)
+    found = jax.jit(jax.vmap(lambda Y: predict_information(Y, motion)), compiler_options=options)(single)
+    root = np.linalg.cholesky(exact)
+    whitened = root.swapaxes(-1, -2) @ np.asarray(found, float) @ root
+    assert np.abs(np.linalg.eigvalsh(whitened) - 1.0).max() < 0.02

@@ -18,6 +18,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.learning.devices import cores
 from foveate.learning.learner import objective_score
 from foveate.learning.loop import PLANAR_COMPILER_OPTIONS
+from foveate.models.precision import rounds_alike
 from foveate.models.problem import Problem
 from foveate.planning.receding import Receding
 from foveate.planning.shooting import PlanSettings
@@ -86,7 +87,7 @@ def policy_scores(
         return jax.vmap(lambda episode, key: _score(given, policy, episode, key))(episodes, keys)
 
     rest = (given.episodes, given.keys)
-    program = _compiled(run, arrays, jnp.array(0), *rest)
+    program = _compiled(given, run, arrays, jnp.array(0), *rest)
     scores = {}
     with ThreadPoolExecutor(cores()) as pool:
         found = pool.map(lambda i: np.asarray(program(arrays, jnp.array(i), *rest), float), range(len(policies)))
@@ -112,7 +113,7 @@ def planner_scores(
         rows = np.minimum(np.arange(first, first + PLANS_PER_BATCH), count - 1)
         return jax.tree.map(lambda x: x[rows], (given.episodes, given.keys))
 
-    program = _compiled(run, *batch(0))
+    program = _compiled(given, run, *batch(0))
     parts: list[Scores] = []
     with ThreadPoolExecutor(cores()) as pool:
         for part in pool.map(lambda first: np.asarray(program(*batch(first)), float), range(0, count, PLANS_PER_BATCH)):
@@ -141,8 +142,9 @@ def _score(given: HeldOut, policy: Policy, episode: Episode, key: Key) -> Scalar
     return objective_score(trace, episode, training.objective)
 
 
-def _compiled(run: Callable, *arguments: Any) -> Callable:
+def _compiled(given: HeldOut, run: Callable, *arguments: Any) -> Callable:
     """Compile a program before threads call it, each of which would compile it again."""
-    options = PLANAR_COMPILER_OPTIONS  # in space, too: without a training's gradient the programs run no slower
+    # In space, too: without a training's gradient the programs run no slower.
+    options = PLANAR_COMPILER_OPTIONS if rounds_alike(given.problem) else {}
     with jax.default_matmul_precision("highest"):  # of this thread: a setting of the caller's does not reach it
         return jax.jit(run, compiler_options=options).lower(*arguments).compile()

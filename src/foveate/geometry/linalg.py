@@ -51,14 +51,8 @@ def _unit_lower_inverse(lower: list) -> list:
 
 @jax.custom_jvp
 def inverse_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
-    """M^-1 of a symmetric positive definite matrix; the result is symmetric.
-
-    M and its inverse are each computed once (the barriers). XLA would compute an element of either anew for every
-    element that reads it, and round it otherwise each time. In float32 the pivots of a target that was measured once,
-    and whose velocity is unknown, have three digits: with several versions of them what follows is indefinite.
-    """
+    """M^-1 of a symmetric positive definite matrix; the result is symmetric."""
     size = matrix.shape[-1]
-    matrix = jax.lax.optimization_barrier(matrix)
     if size > UNROLLED:
         factor = jnp.linalg.cholesky(matrix, symmetrize_input=False)
         eye = jnp.broadcast_to(jnp.eye(size, dtype=matrix.dtype), matrix.shape)
@@ -73,7 +67,7 @@ def inverse_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
                 (root[k][i] if k > i else 1.0) * (root[k][j] if k > j else 1.0) / pivots[k] for k in range(i, size)
             ]
             rows[i][j] = rows[j][i] = sum(terms[1:], start=terms[0])
-    return jax.lax.optimization_barrier(jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 @inverse_spd.defjvp

@@ -12,15 +12,6 @@ LOADED_IN = os.getpid()
 """Process that loaded this module, and with it JAX."""
 
 
-QUICK_COMPILATION: dict[str, bool | str] = {
-    "xla_cpu_use_fusion_emitters": False,
-    # Leaves the barriers of `inverse_spd` where they are: older emitters fuse across them otherwise, and with the same
-    # number in several roundings information matrices of unknown velocities become indefinite in float32.
-    "xla_disable_hlo_passes": "cse_barrier_expander",
-}
-"""XLA's options of quick compilation, of jax 0.10."""
-
-
 def is_forked() -> bool:
     """True in a fork of the process that loaded JAX: its threads are not there, and its programs would hang."""
     return os.getpid() != LOADED_IN
@@ -83,15 +74,14 @@ def compile_fast() -> None:
     from importlib.metadata import version
 
     if version("jax").startswith("0.10."):
-        flags = (f"--{name}={str(value).lower()}" for name, value in QUICK_COMPILATION.items())
-        os.environ.setdefault("XLA_FLAGS", " ".join(flags))
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 
-def quick_compilation() -> dict[str, bool | str]:
+def quick_compilation() -> dict[str, bool]:
     """Options of `jax.jit` for programs that compile longer than they run; none for versions that may not know them."""
     import jax
 
-    return QUICK_COMPILATION if jax.__version__.startswith("0.10.") else {}
+    return {"xla_cpu_use_fusion_emitters": False} if jax.__version__.startswith("0.10.") else {}
 
 
 def compiled(simulate: Callable[..., Any], quick: bool) -> Callable[..., Any]:

@@ -27,6 +27,17 @@ class _Motion(NamedTuple):
         return _Motion(self.A @ first.A, self.of(first.W))
 
 
+def rounds_alike(problem: Problem) -> bool:
+    """True if it matters little to the filter that a number is computed several times, and rounded otherwise each time.
+
+    That is what XLA's older emitters do (`foveate.io.jax_settings.quick_compilation`): each element of a matrix product
+    computes the inverse that it reads anew. It is harmless for positions. A target that was measured once and whose
+    velocity is unknown has pivots of three digits in float32; with several versions of them its information becomes
+    indefinite.
+    """
+    return problem.motion.state_size == problem.agent.space.dimension
+
+
 def warn_of_rounding(problem: Problem, steps: int) -> None:
     """Log a warning if beliefs about targets unseen for up to `steps` lose digits that matter in this precision."""
     lost_nat, unseen = rounding_error(problem, steps)
