@@ -96,6 +96,8 @@ def _decide(
 ) -> Decision:
     if not finite:
         reason = f"iteration {int(learner.epoch)}: a gradient or score was not finite; the best is kept"
+        if progress.best_score.dtype == jnp.float32:
+            reason += "; try JAX_ENABLE_X64=1, which computes in float64"
         return Decision(progress=replace(progress, learner=progress.best), event="not finite", stop_reason=reason)
     best = float(progress.best_score)
     # The actor-critic samples beyond the limits, and a camera that only turns is at them for good reason.
