@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.rejections import assert_rejected
 
-from foveate.errors import InputError
 from foveate.scenario.agent import DifferentialDrive, FixedWing, FreeBody, Quadrotor
 
 AGENTS = {
@@ -72,8 +72,4 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_wrong_settings_are_rejected(name):
-    make, words = BAD[name]
-    with pytest.raises(InputError) as caught:
-        make()
-    assert words in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    assert_rejected(*BAD[name])

@@ -1,8 +1,8 @@
 """Settings of fields of view: wrong ones are rejected in one line that names field and value."""
 
 import pytest
+from helpers.rejections import assert_rejected
 
-from foveate.errors import InputError
 from foveate.scenario.field_of_view import (
     BallView,
     ConeView,
@@ -31,8 +31,4 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_wrong_settings_are_rejected(name):
-    make, words = BAD[name]
-    with pytest.raises(InputError) as caught:
-        make()
-    assert words in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    assert_rejected(*BAD[name])

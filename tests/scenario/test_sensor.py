@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.rejections import assert_rejected
 
-from foveate.errors import InputError
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -90,8 +90,4 @@ def test_own_coordinates_reach_the_problem_with_their_noise():
 
 @pytest.mark.parametrize("name", BAD)
 def test_wrong_settings_are_rejected(name):
-    make, words = BAD[name]
-    with pytest.raises(InputError) as caught:
-        make()
-    assert words in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    assert_rejected(*BAD[name])
