@@ -14,7 +14,9 @@ from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import Arrivals, Episode, Truth
-from foveate.simulation.starts import TRIES, agent_start, starts, target_starts
+from foveate.simulation.starts import TRIES, agent_start, map_of, starts, target_starts
+from foveate.simulation.team.records import TeamDraws
+from foveate.simulation.team.starts import MateNumbers, mate_noise, mate_places, mate_shapes, middles
 from foveate.simulation.truth import true_states
 from foveate.types import Count, Key, Point, Pose
 
@@ -28,6 +30,8 @@ class Drawn(eqx.Module):
     present: Bool[Array, " n"]
     horizon: Count
     map_number: Count | None = None
+    others: Float[Array, "mates ..."] | None = None
+    """Poses of the other robots of a team."""
 
 
 class Noise(eqx.Module):
@@ -37,13 +41,19 @@ class Noise(eqx.Module):
     process: Float[Array, "K n n_y"]
     measurement: Float[Array, "K n n_z"]
     first: Float[Array, "n n_y"]
+    mates: Float[Array, "K mates n n_z"] | None = None
+    """Standard normals for the measurements of the other robots of a team."""
+    radio: Float[Array, "K M M"] | None = None
+    """Uniform in [0, 1), for a team's radio."""
 
 
 def draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Shapes into which the random numbers of one scene are cut; those with a row per target grow with their number."""
     d, most = problem.agent.space.dimension, settings.targets_max
     shapes = (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
-    return shapes if problem.obstacles is None else (*shapes, (), (TRIES, d), (most, TRIES, d))
+    has_obstacles = problem.obstacles is not None
+    shapes = (*shapes, (), (TRIES, d), (most, TRIES, d)) if has_obstacles else shapes
+    return shapes if problem.team is None else (*shapes, *mate_shapes(problem.team, most, d, has_obstacles))
 
 
 def draw_size(settings: SceneSettings, problem: Problem) -> int:
@@ -65,7 +75,9 @@ def draw(
     is in an obstacle, others are tried.
     """
     d, most = problem.agent.space.dimension, settings.targets_max
-    count, yaw, agent, position, drift, *tries = _cut(uniform, draw_shapes(settings, problem))
+    count, yaw, agent, position, drift, *rest = _cut(uniform, draw_shapes(settings, problem))
+    tries, rest = ([], rest) if problem.obstacles is None else (rest[:3], rest[3:])
+    mates = MateNumbers(*rest) if rest else None
 
     sizes = most + 1 - settings.targets_min
     n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * sizes), sizes - 1).astype(int)
@@ -78,19 +90,24 @@ def draw(
     def agent_at(uniform: Float[Array, " d"]) -> Float[Array, " d"]:
         return problem.inside(agent_start(settings, centre, half_side, uniform, test), problem.bounds_agent)
 
+    others = None if mates is None else mate_places(problem, mates, map_of(problem, tries, test), agent_at, centre)
+
     def targets_at(start: Point, uniform: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        positions = target_starts(settings, start, centre + half_side * uniform, uniform)
+        middle = start if mates is None or others is None else middles(mates, start, others)
+        positions = target_starts(settings, middle, centre + half_side * uniform, uniform)
         return problem.inside(positions, problem.bounds_targets)
 
     number, start, position = starts(problem, agent_at, targets_at, (agent, position), tries, test)
     steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
+    upright = problem.agent.space.upright
     return Drawn(
-        pose=problem.agent.space.upright(start, jnp.pi * yaw),
+        pose=upright(start, jnp.pi * yaw),
         position=position,
         map_number=number,
         drift=jnp.broadcast_to(jnp.array(settings.drift_m_s) * drift, (most, d)),
         present=jnp.arange(most) < n,
         horizon=steps,
+        others=None if mates is None or others is None else jax.vmap(upright)(others, jnp.pi * mates.yaw),
     )
 
 
@@ -103,7 +120,11 @@ def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth:
     normal = jax.random.normal(normal_key, (_size(shapes if with_truth else shapes[:1]),))
     first, process, measurement = _cut(jnp.pad(normal, (0, _size(shapes) - len(normal))), shapes)
     jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
-    return Noise(jitter=jitter, process=process, measurement=measurement, first=first)
+    noise = Noise(jitter=jitter, process=process, measurement=measurement, first=first)
+    if problem.team is None or not with_truth:
+        return noise
+    mates, radio = mate_noise(problem, key, steps, targets)
+    return replace(noise, mates=mates, radio=radio)
 
 
 def _size(shapes: Sequence[tuple[int, ...]]) -> int:
@@ -154,7 +175,10 @@ def episode_of(
     known = inputs if settings.known_drift else jnp.zeros_like(inputs)
     error = first_error(problem, settings, noise.first)
     mean = first_mean(problem, settings, first + error, newcomer=False)
-    episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
+    team = None
+    if scene.others is not None and noise.mates is not None and noise.radio is not None:
+        team = TeamDraws(scene.others, noise.mates, noise.radio)
+    episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, None, scene.map_number, team)
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 

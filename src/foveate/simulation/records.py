@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from foveate.models.robot import Robot
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
+from foveate.simulation.team.records import TeamDraws, TeamTrace, TeamView
 from foveate.types import Action, Count, Key, Pose
 
 
@@ -36,7 +37,8 @@ class Episode(eqx.Module):
     Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth` the
     simulation is the noise-free one of training, which never corrects a mean. Positions are in [m], time derivatives in
     [m/s] and [m/s^2]; `mean` is that of the initial beliefs, in the world frame, `inputs` are the known xi_k.
-    `map_number` is that of the episode's map among those of the problem, if it has obstacles.
+    `map_number` is that of the episode's map among those of the problem, if it has obstacles. Of a team, `pose` is that
+    of the first robot, whose noise is that of the truth, and `team` is what belongs to the others.
     """
 
     pose: Pose
@@ -47,6 +49,7 @@ class Episode(eqx.Module):
     truth: Truth | None = None
     arrivals: Arrivals | None = None
     map_number: Count | None = None
+    team: TeamDraws | None = None
 
 
 class Observation(eqx.Module):
@@ -66,6 +69,8 @@ class Observation(eqx.Module):
     known_input: Float[Array, "n m_y"]
     robot: Robot | None = None
     """What a policy may know about its robot; None for policies that ask for nothing."""
+    team: TeamView | None = None
+    """What a robot knows of its team; None of a single robot."""
 
     @property
     def map_number(self) -> Count | None:
@@ -82,6 +87,11 @@ class Policy(eqx.Module):
         del observation
         return ()
 
+    def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
+        """A number for every target that the robot tells its team, after its decision: by default none goes for any."""
+        del memory
+        return jnp.zeros_like(observation.mean[:, 0])
+
     @abc.abstractmethod
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The normalised action in [-1, 1] for every actuated axis, and the memory for the next step."""
@@ -95,6 +105,9 @@ class Trace(eqx.Module):
     steps up to k that an obstacle has ended; None without obstacles. Pose and
     means are in the world frame, positions in [m], `information` in [1/m^2] for positions; `action` is normalised to
     [-1, 1] on every axis, and `log_det` is in [nat].
+
+    Of a team, pose and action are the first robot's, the beliefs are those of one filter that hears every measurement,
+    `visible` marks what any robot has measured, and `contacts` are all robots'; `team` has every robot's own.
     """
 
     pose: Float[Array, "instants ..."]
@@ -106,6 +119,7 @@ class Trace(eqx.Module):
     present: Bool[Array, "instants n"]
     rejections: Int[Array, "K n"] | None = None
     contacts: Int[Array, " K"] | None = None
+    team: TeamTrace | None = None
 
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
@@ -171,7 +185,13 @@ class State(eqx.Module):
     contacts: Count | None = None
 
 
-def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count, robot: Robot) -> Observation:
+def observe(
+    predicted: State,
+    known_input: Float[Array, "n m_y"],
+    horizon: Count,
+    robot: Robot,
+    team: TeamView | None = None,
+) -> Observation:
     """The observation of a predicted state in an episode of `horizon` steps."""
     return Observation(
         step=predicted.step,
@@ -182,6 +202,7 @@ def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count
         present=predicted.present,
         known_input=known_input,
         robot=robot.at(predicted.step),
+        team=team,
     )
 
 
@@ -191,3 +212,5 @@ class Instant(eqx.Module):
     known_input: Float[Array, "*K n m_y"]
     truth: Truth | None = None
     arrivals: Arrivals | None = None
+    mates_world: Float[Array, "mates d"] | None = None
+    """Where the other robots of a team are before the step [m]."""

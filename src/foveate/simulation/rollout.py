@@ -17,6 +17,7 @@ from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.simulation import step
 from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
+from foveate.simulation.team.rollout import rollout as team_rollout
 from foveate.types import Action, Key
 
 FULL_BACKPROPAGATION = Backpropagation()
@@ -124,6 +125,8 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         protocol: Source of information.
         key: Random key of the policy.
     """
+    if episode.team is not None:
+        return team_rollout(problem, policy, episode, protocol, key)
 
     def columns(state: State):
         return {"pose": state.pose, "mean": state.mean, "information": state.information[-1], "present": state.present}

@@ -1,0 +1,75 @@
+"""Where the robots of a team start beside the first, and their share of an episode's random numbers."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.models.problem import Problem
+from foveate.models.team import Team
+from foveate.simulation.starts import TRIES
+from foveate.types import Count, Key
+
+STREAM = 11
+"""Folded into the key of an episode's noise: that of the first robot and of the targets is as without a team."""
+
+
+class MateNumbers(NamedTuple):
+    """Numbers uniform in [-1, 1) of a random scene: places and yaws of the other robots, and a robot for each target.
+
+    `tries` are further places among obstacles.
+    """
+
+    places: Float[Array, "mates d"]
+    yaw: Float[Array, " mates"]
+    about: Float[Array, " n"]
+    tries: Float[Array, "mates tries d"] | None = None
+
+
+def mate_shapes(team: Team, targets: int, d: int, has_obstacles: bool) -> tuple[tuple[int, ...], ...]:
+    """Shapes of `MateNumbers`."""
+    mates = team.agents - 1
+    shapes = (mates, d), (mates,), (targets,)
+    return (*shapes, (mates, TRIES, d)) if has_obstacles else shapes
+
+
+def mate_places(
+    problem: Problem,
+    numbers: MateNumbers,
+    map_number: Count | None,
+    first_at: Callable[[Array], Array],
+    centre: Float[Array, " d"],
+) -> Float[Array, "mates d"]:
+    """Positions of the other robots [m]; `first_at` is where numbers place the first one."""
+    assert problem.team is not None, "of a team's problems"
+    side = problem.team.half_side
+
+    def place(uniform: Float[Array, " d"]) -> Float[Array, " d"]:
+        return first_at(uniform) if side is None else problem.inside(centre + side * uniform, problem.bounds_agent)
+
+    if problem.obstacles is None or map_number is None:
+        return jax.vmap(place)(numbers.places)
+    assert numbers.tries is not None, "drawn where there are obstacles"
+    obstacles = problem.obstacles.of_map(map_number)
+    places = jax.vmap(jax.vmap(place))(jnp.concatenate([numbers.places[:, None], numbers.tries], axis=1))
+    return jax.vmap(obstacles.free_place, (0, None))(places, obstacles.radius)
+
+
+def middles(numbers: MateNumbers, first: Float[Array, " d"], mates: Float[Array, "mates d"]) -> Float[Array, "n d"]:
+    """The position of a random robot for each target, about which a ring of targets is."""
+    robots = jnp.concatenate([first[None], mates])
+    index = jnp.floor((numbers.about + 1.0) / 2.0 * len(robots)).astype(int)
+    return robots[jnp.clip(index, 0, len(robots) - 1)]
+
+
+def mate_noise(
+    problem: Problem, key: Key, steps: int, targets: int
+) -> tuple[Float[Array, "K mates n n_z"], Float[Array, "K M M"]]:
+    """Standard normals for the other robots' measurements, and numbers for the radio."""
+    assert problem.team is not None, "of a team's problems"
+    agents = problem.team.agents
+    normal_key, radio_key = jax.random.split(jax.random.fold_in(key, STREAM))
+    normal = jax.random.normal(normal_key, (steps, agents - 1, targets, problem.sensor.size))
+    return normal, jax.random.uniform(radio_key, (steps, agents, agents))
