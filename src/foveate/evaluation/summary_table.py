@@ -31,6 +31,7 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "targets": lambda cell: str(cell.targets),
     "objective": lambda cell: number(cell.objective, 3),
     "score [nat]": lambda cell: plus_minus(cell.mean, cell.interval),
+    "worst robot": lambda cell: number(cell.worst_score if cell.worst_objective is None else cell.worst_objective),
     "normalised": lambda cell: number(cell.normalised_score, 3),
     "detected": lambda cell: f"{cell.seen_fraction:.0%}",
     "NEES (band)": _nees,
@@ -40,6 +41,7 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "longest gap [s]": lambda cell: f"{cell.longest_unseen_s:.1f}",
     "RMSE [m]": lambda cell: number(cell.rmse_m),
     "NEES of detected": lambda cell: number(cell.nees_seen, 1),
+    "NEES of robots": lambda cell: number(cell.members_nees, 1),
     "NEES of undetected": lambda cell: number(cell.nees_unseen, 1),
     "episodes": lambda cell: str(cell.episodes),
 }
@@ -53,6 +55,7 @@ NOTES = {
     "is better.",
     "normalised": "normalised: 0 for never seeing a target, 1 for the omniscient planner, a reference and no bound.",
     "detected": "detected: targets measured at least once.",
+    "worst robot": "score and NEES: by all measurements of the team; worst robot: by its own beliefs.",
     "contacts": "contacts: steps that an obstacle has ended.",
     "NEES (band)": "NEES: within its 95 % band, in brackets, if the filter is consistent; above it if overconfident, "
     "below it if underconfident.",
@@ -78,6 +81,8 @@ def summary_table(title: str, summary: Sequence[Summary], objective: Objective |
         "objective": objective not in (None, "terminal"),
         "normalised": any(cell.normalised_score is not None for cell in summary),
         "contacts": any(cell.contacts is not None for cell in summary),
+        "worst robot": any(cell.worst_score is not None for cell in summary),
+        "NEES of robots": any(cell.members_nees is not None for cell in summary),
     }
     header = tuple(name for name in COLUMNS if shown.get(name, True))
     trained_for = [f"objective: {MEANINGS[objective]}, as trained for."] if objective and shown["objective"] else []

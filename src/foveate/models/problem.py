@@ -34,8 +34,8 @@ class Problem(eqx.Module):
     """Agent, sensor, motion of the targets, control period tau [s] and first information matrix.
 
     A `schedule` overrides them from step to step. The `region` has the borders of the world, and `keep_off_m` is the
-    distance that the agent keeps from targets [m], if any; `obstacles` has the maps, one of them chosen. A `team` has more
-    robots like the agent, and their radio.
+    distance that the agent keeps from targets [m], if any; `obstacles` has the maps, one of them chosen. A `team` has
+    more robots like the agent, and their radio.
     """
 
     agent: Agent

@@ -88,7 +88,7 @@ class Policy(eqx.Module):
         return ()
 
     def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
-        """A number for every target that the robot tells its team, after its decision: by default none goes for any."""
+        """A number for every target that a robot tells its team after a decision; by default 0, which says nothing."""
         del memory
         return jnp.zeros_like(observation.mean[:, 0])
 

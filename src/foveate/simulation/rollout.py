@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
@@ -108,7 +109,9 @@ def _play(
     record,
     back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> PyTree:
-    """Simulate an episode with a policy."""
+    """Simulate an episode of a single robot with a policy. Raises InputError for a team's."""
+    if episode.team is not None:
+        raise InputError("scenario.team: expected none: only policies that are rolled out have a team")
     problem = problem.of_map(episode.map_number)
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
     memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem)))

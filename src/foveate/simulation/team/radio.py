@@ -29,9 +29,7 @@ def first_roster(poses: Float[Array, "M ..."], targets: int) -> Roster:
     )
 
 
-def links(
-    radio: Radio, space: Space, poses: Float[Array, "M ..."], uniform: Float[Array, "M M"]
-) -> Bool[Array, "M M"]:
+def links(radio: Radio, space: Space, poses: Float[Array, "M ..."], uniform: Float[Array, "M M"]) -> Bool[Array, "M M"]:
     """True where a message reaches a receiver (rows) from another robot (columns)."""
     position = jax.vmap(space.position)(poses)
     square_m2 = jnp.sum((position[:, None] - position) ** 2, axis=-1)

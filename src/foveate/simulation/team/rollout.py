@@ -52,7 +52,8 @@ def simulate(
     """
     problem = problem.of_map(episode.map_number)
     team = episode.team
-    assert problem.team is not None and team is not None, "of a team's episodes"
+    assert problem.team is not None, "of a team's problems"
+    assert team is not None, "of a team's episodes"
     robots = jnp.arange(problem.team.agents)
     per_step = (instants(episode), team.measurement_noise, team.radio)
 

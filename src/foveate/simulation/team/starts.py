@@ -1,14 +1,18 @@
 """Where the robots of a team start beside the first, and their share of an episode's random numbers."""
 
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.models.team import Team
+from foveate.scenario.scenes import Scene
 from foveate.simulation.starts import TRIES
 from foveate.types import Count, Key
 
@@ -73,3 +77,22 @@ def mate_noise(
     normal_key, radio_key = jax.random.split(jax.random.fold_in(key, STREAM))
     normal = jax.random.normal(normal_key, (steps, agents - 1, targets, problem.sensor.size))
     return normal, jax.random.uniform(radio_key, (steps, agents, agents))
+
+
+def scene_mate_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict[str, np.ndarray]:
+    """Random numbers of the other robots' measurements and of the radio, apart from those of `scene_noise`."""
+    assert problem.team is not None, "of a team's problems"
+    agents, rng = problem.team.agents, np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode, 1])
+    return {
+        "radio": rng.uniform(0.0, 1.0, (scene.horizon, agents, agents)),
+        "mates": rng.standard_normal((scene.horizon, agents - 1, len(scene.targets), problem.sensor.size)),
+    }
+
+
+def other_poses(problem: Problem, scenes: Sequence[Scene]) -> Float[np.ndarray, "scenes mates ..."]:
+    """Poses of the other robots. Raises InputError unless each scene has them for the whole team."""
+    mates = 0 if problem.team is None else problem.team.agents - 1
+    for scene in scenes:
+        right = f"expected {mates} poses, one for each robot of the team after the first"
+        require(len(scene.others) == mates, f"scene {scene.id!r}: others", len(scene.others), right)
+    return np.stack([[problem.agent.space.numpy_pose(pose) for pose in scene.others] for scene in scenes])

@@ -50,7 +50,7 @@ class TeamState(eqx.Module):
 
 def start(problem: Problem, episode: Episode, protocol: Protocol) -> TeamState:
     """The state before the first step."""
-    assert problem.team is not None and episode.team is not None, "of a team's episodes"
+    assert problem.team is not None, "of a team's problems"
     poses, radio = first_poses(episode), problem.team.radio
     robots = jax.vmap(lambda pose: step.start(problem, replace(episode, pose=pose, team=None), protocol))(poses)
     roster = first_roster(poses, episode.mean.shape[0])
@@ -156,7 +156,12 @@ def _with_beliefs(state: TeamState, beliefs: Beliefs) -> TeamState:
 
 
 def _drafts(
-    problem: Problem, protocol: Protocol, predicted: State, instant: Instant, draws: TeamDraws, action: Action
+    problem: Problem,
+    protocol: Protocol,
+    predicted: State,
+    instant: Instant,
+    draws: TeamDraws,
+    action: Float[Array, "M m"],
 ) -> Draft:
     """The robots' own steps: each with noise of its own, and kept off the others."""
     truth = instant.truth
@@ -184,5 +189,5 @@ def _evidence(problem: Problem, draft: Draft, reference: Float[Array, "n n_y"]) 
         return evidence_of(Belief(mean, information), gain, growth, corrected, reference)
 
     before = draft.predicted
-    each = jax.vmap(of, (0, 0, 0, 1, 0, 0), Evidence(0, 0, 1))
+    each = jax.vmap(of, (0, 0, 0, 1, 0, 0))
     return each(before.mean, before.information[-1], taken, growth, draft.state.mean, reference)

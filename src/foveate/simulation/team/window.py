@@ -59,7 +59,7 @@ def first_window(problem: Problem, beliefs: Beliefs, levels: int) -> Window:
     assert problem.team is not None, "a window is a team's"
     (robots, n, n_y), length = beliefs.mean.shape, problem.team.radio.memory
     zero = jnp.zeros((length, robots, n, n_y, n_y), beliefs.mean.dtype)
-    evidence = Evidence(zero, zero[..., 0], jnp.zeros((length, robots, levels, n, n_y, n_y), zero.dtype))
+    evidence = Evidence(zero, zero[..., 0], jnp.zeros((length, robots, n, levels, n_y, n_y), zero.dtype))
     known_input = jnp.zeros((length, n, problem.motion.input_size), zero.dtype)
     steps = Step(evidence, zero[:, 0, ..., 0], known_input)
     return Window(steps, beliefs, jnp.zeros((robots, length, robots), bool))
@@ -129,6 +129,6 @@ def updated(problem: Problem, beliefs: Beliefs, step: Step, knows: Bool[Array, "
         prediction = Belief(motion.advance(mean, known_input), information[-1])
         return corrected_by(prediction, evidence, reference), information + evidence.growth
 
-    of_robot = jax.vmap(of_target, (0, 1, Evidence(0, 0, 1), 0, 0), (0, 1))
+    of_robot = jax.vmap(of_target, (0, 1, 0, 0, 0), (0, 1))
     of_team = jax.vmap(of_robot, (0, 0, 0, None, None))
     return Beliefs(*of_team(*beliefs, known, step.reference, step.known_input))
