@@ -32,6 +32,10 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "objective": lambda cell: number(cell.objective, 3),
     "score [nat]": lambda cell: plus_minus(cell.mean, cell.interval),
     "normalised": lambda cell: number(cell.normalised_score, 3),
+    "GOSPA [m]": lambda cell: plus_minus(cell.gospa or 0.0, cell.interval),
+    "errors": lambda cell: number(cell.gospa_localisation),
+    "missed": lambda cell: number(cell.gospa_missed),
+    "false": lambda cell: number(cell.gospa_false),
     "detected": lambda cell: f"{cell.seen_fraction:.0%}",
     "NEES (band)": _nees,
     "contacts": lambda cell: number(cell.contacts),
@@ -54,6 +58,7 @@ NOTES = {
     "normalised": "normalised: 0 for never seeing a target, 1 for the omniscient planner, a reference and no bound.",
     "detected": "detected: targets measured at least once.",
     "contacts": "contacts: steps that an obstacle has ended.",
+    "GOSPA [m]": "GOSPA: of confirmed tracks, the mean over the steps, with its parts; less is better.",
     "NEES (band)": "NEES: within its 95 % band, in brackets, if the filter is consistent; above it if overconfident, "
     "below it if underconfident.",
 }
@@ -72,12 +77,15 @@ def summary_table(title: str, summary: Sequence[Summary], objective: Objective |
 
     The score by the objective "terminal" is the score itself.
     """
+    has_gospa = any(cell.gospa is not None for cell in summary)
     shown = {
         "protocol": len({cell.protocol for cell in summary}) > 1,
         "motion": len({cell.motion for cell in summary}) > 1,
-        "objective": objective not in (None, "terminal"),
+        "objective": objective not in (None, "terminal", "gospa"),
         "normalised": any(cell.normalised_score is not None for cell in summary),
         "contacts": any(cell.contacts is not None for cell in summary),
+        **dict.fromkeys(("GOSPA [m]", "errors", "missed", "false"), has_gospa),
+        **dict.fromkeys(("score [nat]", "NEES (band)"), not has_gospa),
     }
     header = tuple(name for name in COLUMNS if shown.get(name, True))
     trained_for = [f"objective: {MEANINGS[objective]}, as trained for."] if objective and shown["objective"] else []

@@ -1,7 +1,7 @@
 """The scenario of an experiment, the `[scenario]` table of a configuration file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,10 @@ from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.scenario.agent import AgentSettings, DifferentialDrive
+from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.field_of_view import TriangleView, ViewSettings
 from foveate.scenario.origin import OriginSettings
+from foveate.scenario.population import detection_model
 from foveate.scenario.random_obstacles import ObstacleSettings
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenes import SceneSettings
@@ -45,6 +47,7 @@ class Scenario(Settings):
     region: RegionSettings | None = None
     origin: OriginSettings | None = None
     obstacles: ObstacleSettings | None = None
+    detections: DetectionSettings | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -154,7 +157,7 @@ class Scenario(Settings):
             uses_missed_detections=self.sensor.missed_detections == "used",
             polar=self.sensor.polar,
         )
-        return Problem(
+        problem = Problem(
             agent=self.agent.agent(),
             sensor=sensor,
             motion=self._motion(self.tau_s),
@@ -165,6 +168,9 @@ class Scenario(Settings):
             keep_off_m=None if self.keep_off_m is None else _array(self.keep_off_m),
             obstacles=self._obstacles(),
         )
+        if self.detections is None:
+            return problem
+        return replace(problem, detections=detection_model(self.detections, problem, self.scenes))
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)

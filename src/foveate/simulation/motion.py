@@ -21,8 +21,9 @@ def stop_at_border(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
 
 def keep_off_targets(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """End the way before the first target in it, at its true position after the step, or as predicted without truth."""
-    truth, arrivals, present = draft.instant.truth, draft.instant.arrivals, draft.predicted.present
+    truth, arrivals, scans = draft.instant.truth, draft.instant.arrivals, draft.instant.scans
     state = draft.predicted.mean if truth is None else truth.state
+    present = draft.predicted.present if scans is None else scans.alive
     if arrivals is not None:
         present = present & arrivals.present
     positions_world = problem.motion.position(state)
