@@ -1,7 +1,7 @@
 """The scenario of an experiment, the `[scenario]` table of a configuration file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
