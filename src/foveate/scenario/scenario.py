@@ -174,7 +174,7 @@ class Scenario(Settings):
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)
-        return LinearGaussian(A=_array(A), B=_array(B), W=_array(own if W is None else W), Z=_array(Z))
+        return LinearGaussian.of(A, B, own if W is None else np.asarray(W, float), Z)
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
         """Values of each step of a period; an empty list repeats the constant value."""
@@ -182,7 +182,9 @@ class Scenario(Settings):
         if steps == 0:
             return None
         taus = schedule.tau_s or (self.tau_s,) * steps
-        motions = map(self._motion, taus, schedule.W or (None,) * steps)
+        motions = [self._motion(*each) for each in zip(taus, schedule.W or (None,) * steps, strict=True)]
+        reversible = all(motion.is_reversible for motion in motions)
+        motions = [replace(motion, is_reversible=reversible) for motion in motions]
         motion = jax.tree.map(lambda *parts: jnp.stack(parts), *motions)
         return Schedule(tau=_array(taus), motion=motion, V=_array(schedule.V or [V] * steps))
 
