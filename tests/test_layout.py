@@ -59,6 +59,7 @@ TESTED_ELSEWHERE = {
     **dict.fromkeys(("geometry.series", "geometry.lie_planar"), "geometry/test_lie.py"),
     **dict.fromkeys(("models.problem", "simulation.records", "simulation.step"), "simulation/test_rollout.py"),
     "simulation.draft": "simulation/test_rollout.py",
+    "simulation.drawn": "simulation/test_episodes.py",
     "models.detections.records": "models/detections/test_filter.py",
     "models.target": "scenario/test_target.py",
     "models.obstacles": "geometry/test_sight.py",

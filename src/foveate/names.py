@@ -23,8 +23,8 @@ Preset = Literal["paper", "best", "true-view", "search", "quadrotor", "any", "pa
 ProtocolName = Literal["surrogate", "true"]
 """Source of information: the paper's soft view, or real measurements."""
 
-Objective = Literal["terminal", "mean", "seen"]
-"""Return of the actor-critic: score at the horizon, its mean over the steps, or share of time in view."""
+Objective = Literal["terminal", "mean", "seen", "gospa"]
+"""Return of the actor-critic: score at the horizon, its mean over the steps, share of time in view, or minus GOSPA."""
 
 Goal = Literal["seen", "information"]
 """Aim of a fitted experiment: targets in view, or all of them well known."""

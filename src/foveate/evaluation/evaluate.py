@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from foveate.evaluation.detections import detection_measures
 from foveate.evaluation.metrics import measures
 from foveate.evaluation.rows import Row
 from foveate.evaluation.team import team_measures
@@ -193,7 +194,12 @@ def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_ti
     """Rows of the traces of a method, one an episode; `step_times` [s] are those of a decision in each episode."""
     count = suite.episodes_per_scene
     scenes = [scene for scene in suite.scenes for _ in range(count)]
-    measured = measures(suite.problem, trace, np.asarray(suite.truth.state), scenes, suite.objective)
+    truth, scans = np.asarray(suite.truth.state), suite.episodes.scans
+    if scans is None:
+        measured = measures(suite.problem, trace, truth, scenes, suite.objective)
+    else:
+        alive = np.asarray(scans.alive)
+        measured = detection_measures(suite.problem, trace, truth, alive, scenes, suite.objective)
     teams = team_measures(trace.team, scenes, suite.objective)
     return [
         Row(

@@ -23,9 +23,10 @@ MEANINGS: dict[Objective, str] = {
     "terminal": "log det at the end [nat per target]",
     "mean": "mean log det over the steps [nat per target]",
     "seen": "share of time in view",
+    "gospa": "minus the mean GOSPA over the steps [m]",
 }
 """Scores by the objectives of a training, in words."""
-DIGITS: dict[Objective, int] = {"terminal": 2, "mean": 2, "seen": 3}
+DIGITS: dict[Objective, int] = {"terminal": 2, "mean": 2, "seen": 3, "gospa": 2}
 """Digits after the point to show them with."""
 
 
@@ -76,7 +77,7 @@ def by_objective(
     """Score by the objective of a training [nat per target, or share of time in view]."""
     if objective == "mean":
         return float(log_det.mean())
-    return {None: None, "terminal": score, "seen": in_view}[objective]
+    return {"terminal": score, "seen": in_view}.get(objective or "")
 
 
 def mean_or_zero(values: Float[np.ndarray, "*m"] | Bool[np.ndarray, "*m"]) -> float:

@@ -1,10 +1,13 @@
-"""Rows of an evaluation: one an episode of one method."""
+"""Rows of an evaluation: one an episode."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
 
-PARTIAL = ("contacts", "agents", "worst_score", "worst_objective", "members_nees")
-"""Fields that only some worlds have."""
+SPECIAL = (
+    *("contacts", "gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped"),
+    *("agents", "worst_score", "worst_objective", "members_nees"),
+)
+"""Fields of rows and summaries that only worlds of a kind have: obstacles, detections without ids, teams."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,8 +15,8 @@ class Recorded:
     """A row of a table that a file holds, too."""
 
     def record(self) -> dict[str, Any]:
-        """All fields as plain values; `contacts` only among obstacles, and a team's only of a team."""
-        return {name: value for name, value in asdict(self).items() if name not in PARTIAL or value is not None}
+        """All fields as plain values; those of worlds of a kind only there."""
+        return {name: value for name, value in asdict(self).items() if name not in SPECIAL or value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +30,10 @@ class Row(Recorded):
     without such targets). `step_time_s`: a single compiled decision on this machine. `objective`: score by what the
     experiment trains for: `score`, its mean over the steps, or `seen_step_fraction`; None if it trains for nothing.
     `contacts`: steps that an obstacle has ended; None without obstacles.
+
+    With detections without ids, `score` is minus `gospa`, the mean GOSPA over the steps [m], whose parts are means too;
+    errors and `nees` are those of confirmed tracks, each against the target that GOSPA pairs with it at the horizon,
+    and `dropped` counts detections and tracks for which there was no room. None with ids.
 
     Of a team of `agents` robots the beliefs are those of one filter that hears every measurement at once.
     `worst_score` and `worst_objective` are the least that the own beliefs of any robot give, `members_nees` is the mean
@@ -54,6 +61,11 @@ class Row(Recorded):
     step_time_s: float
     objective: float | None = None
     contacts: int | None = None
+    gospa: float | None = None
+    gospa_localisation: float | None = None
+    gospa_missed: float | None = None
+    gospa_false: float | None = None
+    dropped: int | None = None
     agents: int | None = None
     worst_score: float | None = None
     worst_objective: float | None = None

@@ -21,6 +21,7 @@ VERSION = 2
 MEANS = (
     *("seen_fraction", "seen_step_fraction", "longest_unseen_s"),
     *("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "objective", "contacts"),
+    *("gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped"),
     *("worst_score", "worst_objective", "members_nees"),
 )
 """Fields of a summary that are means of the same fields of rows."""
@@ -38,6 +39,7 @@ class Summary(Recorded):
     `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
     planner's score (1); None unless requested. `objective`: mean score by the objective of the experiment's training;
     None without one. `contacts`: mean number of steps that an obstacle has ended; None without obstacles.
+    GOSPA with its parts, and `dropped`: as in `Row`; None with ids.
     `agents`: robots of the team, `worst_..` and `members_nees`: means of the same fields of rows; None of one robot.
     """
 
@@ -64,6 +66,11 @@ class Summary(Recorded):
     normalised_score: float | None = None
     objective: float | None = None
     contacts: float | None = None
+    gospa: float | None = None
+    gospa_localisation: float | None = None
+    gospa_missed: float | None = None
+    gospa_false: float | None = None
+    dropped: float | None = None
     agents: int | None = None
     worst_score: float | None = None
     worst_objective: float | None = None

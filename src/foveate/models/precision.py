@@ -11,6 +11,8 @@ from foveate.models.problem import Problem
 
 TOLERATED_NAT = 0.05
 """Error of a log det that is said nothing about: a twentieth of what tells policies apart."""
+BEYOND_REPAIR = 100.0
+"""Condition times resolution above which a matrix has no digit of its smallest eigenvalue."""
 Matrix = Float[np.ndarray, "n_y n_y"]
 
 
@@ -33,9 +35,10 @@ def rounds_alike(problem: Problem) -> bool:
     That is what XLA's older emitters do (`foveate.io.jax_settings.quick_compilation`): each element of a matrix product
     computes the inverse that it reads anew. It is harmless for positions. A target that was measured once and whose
     velocity is unknown has pivots of three digits in float32; with several versions of them its information becomes
-    indefinite.
+    indefinite, unless its prediction needs no inverse of it.
     """
-    return problem.motion.state_size == problem.agent.space.dimension
+    motion = problem.motion
+    return motion.state_size == motion.dimension or motion.is_reversible
 
 
 def warn_of_rounding(problem: Problem, steps: int) -> None:
@@ -56,6 +59,8 @@ def rounding_error(problem: Problem, steps: int) -> tuple[float, int]:
     It is the resolution of the numbers times the condition of the predicted correlations (scales of the axes cost no
     digits), after a detection following 1, 2, 4, .. `steps` steps unseen, each rounded up to whole periods of a
     schedule. Only the order of magnitude is meant: in simulated episodes errors are a third to three times as large.
+    For a reversible motion, whose prediction needs no inverse, the root of the condition takes its place, an upper
+    bound; beyond BEYOND_REPAIR even the matrix itself has lost its smallest eigenvalue.
 
     Returns:
         Error [nat], infinite where the condition is beyond float64, and the number of steps unseen.
@@ -69,7 +74,10 @@ def rounding_error(problem: Problem, steps: int) -> tuple[float, int]:
     for unseen, covariance in _unseen(first, motions, steps):
         seen = _detected(covariance, H, noises[unseen % len(noises) - 1])
         predicted = motions[unseen % len(motions)].of(seen)
-        error = resolution * max(_condition(covariance), _condition(predicted))
+        condition = max(_condition(covariance), _condition(predicted))
+        error = resolution * condition
+        if problem.motion.is_reversible:
+            error = resolution * condition**0.5 if error < BEYOND_REPAIR else np.inf
         worst = max(worst, (error, unseen))
     return worst
 

@@ -4,47 +4,25 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.drawn import Drawn, Noise
+from foveate.simulation.population import joined, noise_shapes, with_tracks
 from foveate.simulation.records import Arrivals, Episode, Truth
 from foveate.simulation.starts import TRIES, agent_start, map_of, starts, target_starts
 from foveate.simulation.team.records import TeamDraws
 from foveate.simulation.team.starts import MateNumbers, mate_noise, mate_places, mate_shapes, middles
 from foveate.simulation.truth import true_states
-from foveate.types import Count, Key, Point, Pose
+from foveate.types import Count, Key, Point
 
-
-class Drawn(eqx.Module):
-    """A random scene as arrays, padded to a fixed number of targets."""
-
-    pose: Pose
-    position: Float[Array, "n d"]
-    drift: Float[Array, "n d"]
-    present: Bool[Array, " n"]
-    horizon: Count
-    map_number: Count | None = None
-    others: Float[Array, "mates ..."] | None = None
-    """Poses of the other robots of a team."""
-
-
-class Noise(eqx.Module):
-    """All random numbers of one episode: uniform jitter in [-1, 1], and standard normals for the rest."""
-
-    jitter: Float[Array, "K n d"]
-    process: Float[Array, "K n n_y"]
-    measurement: Float[Array, "K n n_z"]
-    first: Float[Array, "n n_y"]
-    mates: Float[Array, "K mates n n_z"] | None = None
-    """Standard normals for the measurements of the other robots of a team."""
-    radio: Float[Array, "K M M"] | None = None
-    """Uniform in [0, 1), for a team's radio."""
+POPULATION_STREAM = 11
+"""Folded into the key of an episode's noise: that of detections without ids changes no other number."""
 
 
 def draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
@@ -120,7 +98,12 @@ def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth:
     normal = jax.random.normal(normal_key, (_size(shapes if with_truth else shapes[:1]),))
     first, process, measurement = _cut(jnp.pad(normal, (0, _size(shapes) - len(normal))), shapes)
     jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
-    noise = Noise(jitter=jitter, process=process, measurement=measurement, first=first)
+    uniform: dict[str, Array] = {}
+    if problem.detections is not None:
+        sizes = noise_shapes(problem, steps, targets)
+        flat = jax.random.uniform(jax.random.fold_in(key, POPULATION_STREAM), (_size(list(sizes.values())),))
+        uniform = dict(zip(sizes, _cut(flat, list(sizes.values())), strict=True))
+    noise = Noise(jitter=jitter, process=process, measurement=measurement, first=first, **uniform)
     if problem.team is None or not with_truth:
         return noise
     mates, radio = mate_noise(problem, key, steps, targets)
@@ -150,9 +133,11 @@ def episode_of(
     Targets that are positions only have the known input xi = tau (drift + jitter) [m]; for longer states the drift is
     the initial velocity and the input is zero. A drift that a border has turned is turned in the inputs, too. With
     `birth_and_death` a new target enters at the other side for each that leaves the scene's box: the stationary crowd
-    of a street. Raises InputError without truth in a region whose borders targets keep.
+    of a street. Raises InputError without truth in a region whose borders targets keep, or with detections without ids.
     """
-    motion, d = problem.motion, problem.agent.space.dimension
+    motion, d, others = problem.motion, problem.agent.space.dimension, None
+    if problem.detections is not None:
+        scene, noise, others = joined(problem, scene, noise, with_truth)
     period = problem.period
     entry = jnp.arange(len(noise.jitter)) % len(period.tau)
     first, drift = jax.vmap(motion.state_at)(scene.position), None
@@ -162,12 +147,15 @@ def episode_of(
         inputs = period.tau[entry, None, None] * (scene.drift + settings.jitter_m_s * noise.jitter)
     elif motion.takes_drift:
         first = first.at[:, d : 2 * d].add(scene.drift)
+    if others is not None:
+        first = first.at[-others.first.shape[0] :].set(others.first) if others.first.shape[0] else first
 
     truth = None
     if with_truth:
         roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
         pushes = noise.process @ roots[entry] * float(settings.process_noise)
-        states, inputs = true_states(problem.of_map(scene.map_number), first, drift, inputs, pushes)
+        newcomers = None if others is None else others.newcomers
+        states, inputs = true_states(problem.of_map(scene.map_number), first, drift, inputs, pushes, newcomers)
         truth = Truth(state=states, measurement_noise=noise.measurement)
     elif problem.bounds_targets or problem.turns_targets:
         where = "region" if problem.bounds_targets else "obstacles"
@@ -175,10 +163,11 @@ def episode_of(
     known = inputs if settings.known_drift else jnp.zeros_like(inputs)
     error = first_error(problem, settings, noise.first)
     mean = first_mean(problem, settings, first + error, newcomer=False)
-    team = None
+    episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
+    if others is not None:
+        return with_tracks(problem, episode, others)
     if scene.others is not None and noise.mates is not None and noise.radio is not None:
-        team = TeamDraws(scene.others, noise.mates, noise.radio)
-    episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, None, scene.map_number, team)
+        episode = replace(episode, team=TeamDraws(scene.others, noise.mates, noise.radio))
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 

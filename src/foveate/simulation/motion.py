@@ -26,8 +26,9 @@ def keep_off_targets(problem: Problem, protocol: Protocol, draft: Draft) -> Draf
 
     In a team also before another robot, at its position before the step.
     """
-    truth, arrivals, present = draft.instant.truth, draft.instant.arrivals, draft.predicted.present
+    truth, arrivals, scans = draft.instant.truth, draft.instant.arrivals, draft.instant.scans
     state = draft.predicted.mean if truth is None else truth.state
+    present = draft.predicted.present if scans is None else scans.alive
     if arrivals is not None:
         present = present & arrivals.present
     positions_world, mates_world = problem.motion.position(state), draft.instant.mates_world

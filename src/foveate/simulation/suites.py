@@ -17,6 +17,7 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.simulation.episodes import Drawn, Noise, draw, draw_shapes, draw_size, episode_of
+from foveate.simulation.population import noise_shapes
 from foveate.simulation.records import Episode
 from foveate.simulation.starts import check_free
 from foveate.simulation.team.starts import other_poses, scene_mate_noise
@@ -120,12 +121,15 @@ def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.size
     steps, n = scene.horizon, len(scene.targets)
     rng = np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode])
-    return {
+    drawn = {
         "jitter": rng.uniform(-1.0, 1.0, (steps, n, d)),
         "process": rng.standard_normal((steps, n, n_y)),
         "measurement": rng.standard_normal((steps, n, n_z)),
         "first": rng.standard_normal((n, n_y)),
     }
+    if problem.detections is None:
+        return drawn
+    return drawn | {name: rng.uniform(size=shape) for name, shape in noise_shapes(problem, steps, n).items()}
 
 
 def scene_episodes(
@@ -151,10 +155,8 @@ def scene_episodes(
     if problem.obstacles is not None:
         drawn["map_number"] = np.array([scene.map for scene in scenes])
     rows = [scene_noise(problem, scene, seed, k) for scene in scenes for k in range(episodes)]
-    noise = {
-        name: _padded([row[name] for row in rows], (*(steps, n)[3 - first.ndim :], first.shape[-1]))
-        for name, first in rows[0].items()
-    }
+    most = scene_noise(problem, replace(scenes[0], targets=((0.0,) * d,) * n, horizon=steps), seed, 0)
+    noise = {name: _padded([row[name] for row in rows], largest.shape) for name, largest in most.items()}
     if problem.team is not None:
         drawn["others"] = other_poses(problem, scenes)
         more = [scene_mate_noise(problem, scene, seed, k) for scene in scenes for k in range(episodes)]

@@ -16,7 +16,7 @@ from foveate.scenario.scenes import Scene
 from foveate.simulation.starts import TRIES
 from foveate.types import Count, Key
 
-STREAM = 11
+STREAM = 13
 """Folded into the key of an episode's noise: that of the first robot and of the targets is as without a team."""
 
 
