@@ -1,6 +1,6 @@
 """Episode data: one episode as numpy arrays to draw, with positions only and without padding."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +48,10 @@ class EpisodeData:
     region: Float[np.ndarray, "2 d"] | None = None
     """Lower and upper corner of the region with borders, if the world has one."""
     walls: Nodes | None = None
+    mates: Float[np.ndarray, "instants mates ..."] | None = None
+    """Poses of the other robots of a team."""
+    heard: Bool[np.ndarray, "steps M M"] | None = None
+    """Whom each robot (rows) of a team has heard in each step."""
 
     def __post_init__(self) -> None:
         if len(self.times_s) != self.steps + 1:
@@ -211,7 +215,8 @@ def episode_data(
 ) -> EpisodeData:
     """Episode data of the first `horizon` steps and the first `targets` columns of ONE trace and its true states."""
     steps, instants = (slice(horizon), slice(targets)), (slice(horizon + 1), slice(targets))
-    return state_data(
+    team = trace.team
+    data = state_data(
         problem,
         pose=np.asarray(trace.pose, float)[: horizon + 1],
         mean=np.asarray(trace.mean, float)[instants],
@@ -222,6 +227,10 @@ def episode_data(
         truth=np.asarray(truth_state, float)[instants],
         title=title,
     )
+    if team is None:
+        return data
+    mates, heard = np.asarray(team.pose, float)[: horizon + 1, 1:], np.asarray(team.heard)[:horizon]
+    return replace(data, mates=mates, heard=heard)
 
 
 def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[EpisodeData]:
