@@ -41,6 +41,11 @@ def rounds_alike(problem: Problem) -> bool:
     return motion.state_size == motion.dimension or motion.is_reversible
 
 
+def suits_quick_compilation(problem: Problem) -> bool:
+    """True for a problem in the plane whose filter `rounds_alike`; in space the programs would run for longer."""
+    return problem.agent.space.dimension == 2 and rounds_alike(problem)
+
+
 def warn_of_rounding(problem: Problem, steps: int) -> None:
     """Log a warning if beliefs about targets unseen for up to `steps` lose digits that matter in this precision."""
     lost_nat, unseen = rounding_error(problem, steps)
