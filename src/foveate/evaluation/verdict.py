@@ -19,7 +19,7 @@ from foveate.io.progress import Bar
 from foveate.io.provenance import provenance
 from foveate.io.records import from_table
 from foveate.io.tables import Table, html, text
-from foveate.names import HEURISTICS, Objective, ProtocolName
+from foveate.names import HEURISTICS, SEARCHERS, Objective, ProtocolName
 from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import ONLINE, PlanSettings
 from foveate.simulation.records import Policy
@@ -133,7 +133,7 @@ class Verdict:
 def judge_run(run: Path, quiet: bool = False) -> Verdict:
     """Judge the best policy of a run folder, and write its verdict.json."""
     experiment, policy, _ = load_run(run)
-    with Bar("verdict", 1 + len(HEURISTICS), "methods", quiet) as bar:
+    with Bar("verdict", 1 + len(heuristic_names(experiment)), "methods", quiet) as bar:
         verdict = judge(experiment, policy, bar.update)
     write_verdict(run, verdict)
     return verdict
@@ -166,7 +166,12 @@ def heuristics(experiment: Experiment) -> dict[str, Policy]:
     """Every heuristic, for the robot of an experiment."""
     scenario = experiment.scenario
     problem, depth_m = scenario.problem(), float(scenario.view.depth_m)
-    return {name: heuristic_policy(name, problem, depth_m) for name in HEURISTICS}
+    return {name: heuristic_policy(name, problem, depth_m) for name in heuristic_names(experiment)}
+
+
+def heuristic_names(experiment: Experiment) -> tuple[str, ...]:
+    """Names of the heuristics of an experiment's scenario."""
+    return (*HEURISTICS, *(() if experiment.scenario.detections is None else SEARCHERS))
 
 
 def planner_size(experiment: Experiment) -> tuple[int, PlanSettings]:

@@ -22,7 +22,7 @@ from foveate.io.progress import logger
 from foveate.io.toml import load_toml
 from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.names import METHODS, InitialError, Objective
+from foveate.names import METHODS, SEARCHERS, InitialError, Objective
 from foveate.planning.named import heuristic_policy
 from foveate.policies.pointer import PointerPolicy, PointerSettings
 from foveate.policies.tokens import token_size
@@ -215,13 +215,17 @@ def with_initial_error(experiment: Experiment, initial_error: InitialError | Non
     return replace(experiment, scenario=replace(experiment.scenario, scenes=scenes))
 
 
-def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
-    """Return methods' names, each once, with `all` resolved. Raises InputError for an unknown name."""
+def methods_of(method: str | Sequence[str], has_ids: bool = True) -> tuple[str, ...]:
+    """Return methods' names, each once, with `all` resolved: those that search are of detections without ids.
+
+    Raises InputError for an unknown name.
+    """
     names = [method] if isinstance(method, str) else list(method)
     for name in names:
-        if name not in (*METHODS, "all"):
-            raise InputError(f"method {name!r}: expected one of {', '.join(METHODS)}, or all")
-    return METHODS if "all" in names else tuple(dict.fromkeys(names))
+        if name not in (*METHODS, *SEARCHERS, "all"):
+            raise InputError(f"method {name!r}: expected one of {', '.join((*METHODS, *SEARCHERS))}, or all")
+    everything = METHODS if has_ids else (*METHODS, *SEARCHERS)
+    return everything if "all" in names else tuple(dict.fromkeys(names))
 
 
 def scenes_of(scenes: Name | Sequence[Scene] | None, seed: int, experiment: Experiment) -> tuple[str, list[Scene]]:
