@@ -68,6 +68,9 @@ TESTED_ELSEWHERE = {
         for name in ("obstacle_grids", "random_maps", "random_obstacles")
     },
     "models.robot": "policies/test_tokens.py",
+    "models.team": "scenario/test_team.py",
+    **{f"simulation.team.{name}": "simulation/team/test_rollout.py" for name in ("radio", "records", "step", "window")},
+    **dict.fromkeys(("scenario.rows", "simulation.team.starts"), "scenario/test_team.py"),
     **dict.fromkeys(("experiment.experiment", "experiment.learners"), "experiment/test_presets.py"),
     "experiment.run_folder": "experiment/test_checkpoint.py",
     **dict.fromkeys(("evaluation.report", "evaluation.rows"), "evaluation/test_evaluate.py"),

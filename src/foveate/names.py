@@ -14,6 +14,9 @@ Searcher = Literal["explore", "alternate", "lookahead"]
 Method = Literal["policy", Heuristic]
 """The trained policy, or a heuristic."""
 
+Assignment = Literal["greedy", "hungarian", "auction"]
+"""Rule by which the robots of a team share the targets: a method is NAME+RULE."""
+
 Learner = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 """A training algorithm with its settings."""
 
@@ -41,6 +44,7 @@ FirstVelocity = Literal["zero", "truth"]
 HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
 SEARCHERS: tuple[Searcher, ...] = get_args(Searcher)
 METHODS: tuple[Method, ...] = get_args(Method)
+ASSIGNMENTS: tuple[Assignment, ...] = get_args(Assignment)
 LEARNER_NAMES: tuple[Learner, ...] = get_args(Learner)
 PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)

@@ -21,8 +21,8 @@ from foveate.models.detections import filter as pmb
 from foveate.models.detections.records import DetectionModel, Population, Scan
 from foveate.models.problem import Problem
 from foveate.scenario.detections import DetectionSettings
+from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import MAX_LENGTH
 
 
 @dataclass(frozen=True, kw_only=True)

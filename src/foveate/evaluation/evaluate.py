@@ -14,6 +14,7 @@ import numpy as np
 from foveate.evaluation.detections import detection_measures
 from foveate.evaluation.metrics import measures
 from foveate.evaluation.rows import Row
+from foveate.evaluation.team import team_measures
 from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning.devices import cores
 from foveate.models.precision import rounds_alike, warn_of_rounding
@@ -26,6 +27,7 @@ from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, 
 from foveate.simulation.rollout import rollout
 from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
+from foveate.simulation.team.rollout import first_observations
 
 EPISODES_PER_CHUNK = 48
 """Episodes in a batch: every suite runs the same compiled program, and the built-in ones of 90 and 180 episodes, which
@@ -138,6 +140,8 @@ def evaluate_traces(
 
 @eqx.filter_jit
 def _first_observation(problem: Problem, episode: Episode) -> Observation:
+    if episode.team is not None:
+        return jax.tree.map(lambda x: x[0], first_observations(problem, episode, PROTOCOLS["true"]))
     problem = problem.of_map(episode.map_number)
     predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), episode.inputs[0])
     return observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem))
@@ -196,6 +200,7 @@ def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_ti
     else:
         alive = np.asarray(scans.alive)
         measured = detection_measures(suite.problem, trace, truth, alive, scenes, suite.objective)
+    teams = team_measures(trace.team, scenes, suite.objective)
     return [
         Row(
             scene=scene.id,
@@ -207,6 +212,7 @@ def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_ti
             targets=len(scene.targets),
             step_time_s=step_time,
             **numbers,
+            **team,
         )
-        for i, (scene, numbers, step_time) in enumerate(zip(scenes, measured, step_times, strict=True))
+        for i, (scene, numbers, team, step_time) in enumerate(zip(scenes, measured, teams, step_times, strict=True))
     ]

@@ -64,14 +64,14 @@ def measures(
             "seen_step_fraction": in_view,
             "longest_unseen_s": float(unseen_s[i]),
             **error_measures(squared_error[i, own], consistency[i, own], seen[i, own]),
-            "objective": None if score is None else _by_objective(objective, score, over_steps, in_view),
+            "objective": None if score is None else by_objective(objective, score, over_steps, in_view),
             "contacts": None if trace.contacts is None else int(trace.contacts[i, horizons[i] - 1]),
         }
 
     return [row(i) for i in range(len(scenes))]
 
 
-def _by_objective(
+def by_objective(
     objective: Objective | None, score: float, log_det: Float[np.ndarray, "K n"], in_view: float
 ) -> float | None:
     """Score by the objective of a training [nat per target, or share of time in view]."""

@@ -94,9 +94,17 @@ def planning_subject(
         raise InputError(f"refine {refine}: expected the policy to refine: give run")
     if run is None:
         settings = experiment_from(experiment)
+        _require_single(settings)
         return settings, None, None, None if isinstance(experiment, Scenario) else settings.training.objective
     subject = subject_of(run)
+    _require_single(subject.experiment)
     return subject.experiment, None if refine is None else subject.network(), subject.name, subject.objective
+
+
+def _require_single(experiment: Experiment) -> None:
+    team = experiment.scenario.problem().team
+    if team is not None:
+        raise InputError(f"scenario.team.agents = {team.agents}: expected 1: planners decide for single robots")
 
 
 def evaluate_plans(

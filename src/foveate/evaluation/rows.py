@@ -3,8 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-SPECIAL = ("contacts", "gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped")
-"""Fields of rows and summaries that only worlds of a kind have: obstacles, detections without ids."""
+SPECIAL = (
+    *("contacts", "gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped"),
+    *("agents", "worst_score", "worst_objective", "members_nees"),
+)
+"""Fields of rows and summaries that only worlds of a kind have: obstacles, detections without ids, teams."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +34,10 @@ class Row(Recorded):
     With detections without ids, `score` is minus `gospa`, the mean GOSPA over the steps [m], whose parts are means too;
     errors and `nees` are those of confirmed tracks, each against the target that GOSPA pairs with it at the horizon,
     and `dropped` counts detections and tracks for which there was no room. None with ids.
+
+    Of a team of `agents` robots the beliefs are those of one filter that hears every measurement at once.
+    `worst_score` and `worst_objective` are the least that the own beliefs of any robot give, `members_nees` is the mean
+    over all robots; None of a single robot.
     """
 
     scene: str
@@ -59,3 +66,7 @@ class Row(Recorded):
     gospa_missed: float | None = None
     gospa_false: float | None = None
     dropped: int | None = None
+    agents: int | None = None
+    worst_score: float | None = None
+    worst_objective: float | None = None
+    members_nees: float | None = None

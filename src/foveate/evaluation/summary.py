@@ -22,6 +22,7 @@ MEANS = (
     *("seen_fraction", "seen_step_fraction", "longest_unseen_s"),
     *("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "objective", "contacts"),
     *("gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped"),
+    *("worst_score", "worst_objective", "members_nees"),
 )
 """Fields of a summary that are means of the same fields of rows."""
 
@@ -39,6 +40,7 @@ class Summary(Recorded):
     planner's score (1); None unless requested. `objective`: mean score by the objective of the experiment's training;
     None without one. `contacts`: mean number of steps that an obstacle has ended; None without obstacles.
     GOSPA with its parts, and `dropped`: as in `Row`; None with ids.
+    `agents`: robots of the team, `worst_..` and `members_nees`: means of the same fields of rows; None of one robot.
     """
 
     method: str
@@ -69,6 +71,10 @@ class Summary(Recorded):
     gospa_missed: float | None = None
     gospa_false: float | None = None
     dropped: float | None = None
+    agents: int | None = None
+    worst_score: float | None = None
+    worst_objective: float | None = None
+    members_nees: float | None = None
 
     @property
     def deviation(self) -> float | None:
@@ -113,6 +119,7 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
         ci95=mean_interval(list(scene_means(rows).values())),
         nees_band=chi_square_band(state_size, first.targets * share * len(rows)),
         episodes=len(rows),
+        agents=first.agents,
         **measures,
     )
 

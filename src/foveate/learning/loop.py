@@ -124,6 +124,9 @@ def _begin(experiment: Experiment, policy: Policy, key: Key) -> Learner:
     if isinstance(training, ActorCriticSettings):
         return actor_critic.begin(worlds_of(experiment), policy, training, jax.random.fold_in(key, 1))
     assert isinstance(training, TrainingSettings), "PPO of Stable-Baselines3 has its own loop"
+    if (team := experiment.scenario.team) is not None and team.agents > 1:
+        right = "expected 1, or training.algorithm = 'actor-critic', which trains teams"
+        raise InputError(f"scenario.team.agents = {team.agents}: {right}")
     if isinstance(policy, PointerPolicy):
         raise InputError("policy.kind = 'pointer': expected training.algorithm = 'actor-critic', which samples modes")
     return policy_gradient.begin(policy, training)

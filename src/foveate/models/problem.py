@@ -16,6 +16,7 @@ from foveate.models.obstacles import Obstacles
 from foveate.models.region import Region, share_clear
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
+from foveate.models.team import Team
 from foveate.types import Action, Count, Flag, Information, Point, Pose, Scalar, Twist
 
 
@@ -36,6 +37,7 @@ class Problem(eqx.Module):
     A `schedule` overrides them from step to step. The `region` has the borders of the world, and `keep_off_m` is the
     distance that the agent keeps from targets [m], if any; `obstacles` has the maps, one of them chosen. With
     `detections` measurements do not say of which target they are.
+    A `team` has more robots like the agent, and their radio.
     """
 
     agent: Agent
@@ -48,6 +50,7 @@ class Problem(eqx.Module):
     keep_off_m: Scalar | None = None
     obstacles: Obstacles | None = None
     detections: DetectionModel | None = None
+    team: Team | None = None
 
     def move(
         self, pose: Pose, action: Action, positions_world: Float[Array, "n d"] | None, present: Bool[Array, " n"]

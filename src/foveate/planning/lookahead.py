@@ -29,9 +29,9 @@ STEPS = 10
 """Steps of a way."""
 TAIL = 5.0
 """Further steps for which the cost at the end of a way counts."""
-GOALS = {2: 8, 3: 4}
+GOALS = {2: 6, 3: 4}
 """Most places along each axis that ways lead to, by the dimension of space."""
-CELLS = {2: 16, 3: 6}
+CELLS = {2: 10, 3: 6}
 """Most cells along each axis on which undetected targets are counted."""
 
 

@@ -26,6 +26,7 @@ from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 from foveate.scenario.starts import start_box
 from foveate.scenario.target import DriftTarget, TargetSettings, require_predictable
+from foveate.scenario.team import TeamSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,7 @@ class Scenario(Settings):
     origin: OriginSettings | None = None
     obstacles: ObstacleSettings | None = None
     detections: DetectionSettings | None = None
+    team: TeamSettings | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,6 +66,7 @@ class Scenario(Settings):
         problem = self.problem()
         self._check_region(problem)
         self._check_obstacles(problem)
+        self._check_team()
         for W in self.schedule.W:
             for tau in self.schedule.tau_s or (self.tau_s,):
                 require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
@@ -123,6 +126,18 @@ class Scenario(Settings):
         right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
         require(not self.scenes.birth_and_death, "obstacles.targets", "around", right)
 
+    def _check_team(self) -> None:
+        """Raise InputError unless the beliefs of a team can be fused."""
+        if self.team is None or self.team.agents == 1:
+            return
+        side, d = self.team.half_side_m, self.dimension
+        require(side is None or len(side) == d, "team.half_side_m", side, f"expected {d} numbers")
+        right = "expected none for a team, whose messages hold measurements only"
+        require(self.sensor.missed_detections != "used", "sensor.missed_detections", "used", right)
+        require(self.detections is None, "detections", "[..]", "expected none for a team, which knows its targets")
+        right = "expected false for a team, whose members know all targets from the start"
+        require(not self.scenes.birth_and_death, "scenes.birth_and_death", True, right)
+
     def _obstacles(self) -> Obstacles | None:
         """Obstacles as arrays, on grids that hold the starts of agent and targets."""
         if self.obstacles is None:
@@ -167,6 +182,7 @@ class Scenario(Settings):
             region=None if self.region is None else self.region.region(),
             keep_off_m=None if self.keep_off_m is None else _array(self.keep_off_m),
             obstacles=self._obstacles(),
+            team=None if self.team is None else self.team.team(),
         )
         if self.detections is None:
             return problem

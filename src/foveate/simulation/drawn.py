@@ -15,6 +15,8 @@ class Drawn(eqx.Module):
     present: Bool[Array, " n"]
     horizon: Count
     map_number: Count | None = None
+    others: Float[Array, "mates ..."] | None = None
+    """Poses of the other robots of a team."""
 
 
 class Noise(eqx.Module):
@@ -30,3 +32,7 @@ class Noise(eqx.Module):
     beginning: Float[Array, " numbers"] | None = None
     steps: Float[Array, "K numbers_a_step"] | None = None
     fates: Float[Array, "K n numbers_a_target"] | None = None
+    mates: Float[Array, "K mates n n_z"] | None = None
+    """Standard normals for the measurements of the other robots of a team."""
+    radio: Float[Array, "K M M"] | None = None
+    """Uniform in [0, 1), for a team's radio."""

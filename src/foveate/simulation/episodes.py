@@ -15,7 +15,9 @@ from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.drawn import Drawn, Noise
 from foveate.simulation.population import joined, noise_shapes, with_tracks
 from foveate.simulation.records import Arrivals, Episode, Truth
-from foveate.simulation.starts import TRIES, agent_start, starts, target_starts
+from foveate.simulation.starts import TRIES, agent_start, map_of, starts, target_starts
+from foveate.simulation.team.records import TeamDraws
+from foveate.simulation.team.starts import MateNumbers, mate_noise, mate_places, mate_shapes, middles
 from foveate.simulation.truth import true_states
 from foveate.types import Count, Key, Point
 
@@ -27,7 +29,9 @@ def draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, .
     """Shapes into which the random numbers of one scene are cut; those with a row per target grow with their number."""
     d, most = problem.agent.space.dimension, settings.targets_max
     shapes = (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
-    return shapes if problem.obstacles is None else (*shapes, (), (TRIES, d), (most, TRIES, d))
+    has_obstacles = problem.obstacles is not None
+    shapes = (*shapes, (), (TRIES, d), (most, TRIES, d)) if has_obstacles else shapes
+    return shapes if problem.team is None else (*shapes, *mate_shapes(problem.team, most, d, has_obstacles))
 
 
 def draw_size(settings: SceneSettings, problem: Problem) -> int:
@@ -49,7 +53,9 @@ def draw(
     is in an obstacle, others are tried.
     """
     d, most = problem.agent.space.dimension, settings.targets_max
-    count, yaw, agent, position, drift, *tries = _cut(uniform, draw_shapes(settings, problem))
+    count, yaw, agent, position, drift, *rest = _cut(uniform, draw_shapes(settings, problem))
+    tries, rest = ([], rest) if problem.obstacles is None else (rest[:3], rest[3:])
+    mates = MateNumbers(*rest) if rest else None
 
     sizes = most + 1 - settings.targets_min
     n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * sizes), sizes - 1).astype(int)
@@ -62,19 +68,24 @@ def draw(
     def agent_at(uniform: Float[Array, " d"]) -> Float[Array, " d"]:
         return problem.inside(agent_start(settings, centre, half_side, uniform, test), problem.bounds_agent)
 
+    others = None if mates is None else mate_places(problem, mates, map_of(problem, tries, test), agent_at, centre)
+
     def targets_at(start: Point, uniform: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        positions = target_starts(settings, start, centre + half_side * uniform, uniform)
+        middle = start if mates is None or others is None else middles(mates, start, others)
+        positions = target_starts(settings, middle, centre + half_side * uniform, uniform)
         return problem.inside(positions, problem.bounds_targets)
 
     number, start, position = starts(problem, agent_at, targets_at, (agent, position), tries, test)
     steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
+    upright = problem.agent.space.upright
     return Drawn(
-        pose=problem.agent.space.upright(start, jnp.pi * yaw),
+        pose=upright(start, jnp.pi * yaw),
         position=position,
         map_number=number,
         drift=jnp.broadcast_to(jnp.array(settings.drift_m_s) * drift, (most, d)),
         present=jnp.arange(most) < n,
         horizon=steps,
+        others=None if mates is None or others is None else jax.vmap(upright)(others, jnp.pi * mates.yaw),
     )
 
 
@@ -92,7 +103,11 @@ def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth:
         sizes = noise_shapes(problem, steps, targets)
         flat = jax.random.uniform(jax.random.fold_in(key, POPULATION_STREAM), (_size(list(sizes.values())),))
         uniform = dict(zip(sizes, _cut(flat, list(sizes.values())), strict=True))
-    return Noise(jitter=jitter, process=process, measurement=measurement, first=first, **uniform)
+    noise = Noise(jitter=jitter, process=process, measurement=measurement, first=first, **uniform)
+    if problem.team is None or not with_truth:
+        return noise
+    mates, radio = mate_noise(problem, key, steps, targets)
+    return replace(noise, mates=mates, radio=radio)
 
 
 def _size(shapes: Sequence[tuple[int, ...]]) -> int:
@@ -151,6 +166,8 @@ def episode_of(
     episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
     if others is not None:
         return with_tracks(problem, episode, others)
+    if scene.others is not None and noise.mates is not None and noise.radio is not None:
+        episode = replace(episode, team=TeamDraws(scene.others, noise.mates, noise.radio))
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from foveate.models.detections.records import Population
 from foveate.models.robot import Robot
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
+from foveate.simulation.team.records import TeamDraws, TeamTrace, TeamView
 from foveate.types import Action, Count, Key, Pose
 
 
@@ -54,6 +55,7 @@ class Episode(eqx.Module):
     [m/s] and [m/s^2]; `mean` is that of the initial beliefs, in the world frame, `inputs` are the known xi_k.
     `map_number` is that of the episode's map among those of the problem, if it has obstacles. With `scans`, detections
     have no ids: means, `present` and inputs are those of the filter's tracks, the truth those of the targets.
+    Of a team, `pose` is that of the first robot, whose noise is that of the truth; `team` has those of the others.
     """
 
     pose: Pose
@@ -65,6 +67,7 @@ class Episode(eqx.Module):
     arrivals: Arrivals | None = None
     map_number: Count | None = None
     scans: ScanNoise | None = None
+    team: TeamDraws | None = None
 
 
 class Observation(eqx.Module):
@@ -88,6 +91,8 @@ class Observation(eqx.Module):
     """Probability that a target exists, of each entry; None where that is certain."""
     undetected: Float[Array, "*cells"] | None = None
     """Expected number of targets never detected in each cell of the grid of detections without ids; None with ids."""
+    team: TeamView | None = None
+    """What a robot knows of its team; None of a single robot."""
 
     @property
     def map_number(self) -> Count | None:
@@ -104,6 +109,11 @@ class Policy(eqx.Module):
         del observation
         return ()
 
+    def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
+        """A number for every target that a robot tells its team after a decision; by default 0, which says nothing."""
+        del memory
+        return jnp.zeros_like(observation.mean[:, 0])
+
     @abc.abstractmethod
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The normalised action in [-1, 1] for every actuated axis, and the memory for the next step."""
@@ -114,12 +124,14 @@ class Trace(eqx.Module):
 
     `log_det` is that of the information matrix after step k; `visible` marks the targets actually measured.
     `rejections` counts the measurements in a row that the gate has rejected; None without a gate. `contacts` counts the
-    steps up to k that an obstacle has ended; None without obstacles. Pose and
-    means are in the world frame, positions in [m], `information` in [1/m^2] for positions; `action` is normalised to
-    [-1, 1] on every axis, and `log_det` is in [nat]. With detections without ids the beliefs are tracks, with their
-    `existence`, and `visible` marks the detected targets of the truth; `undetected` is the expected number of targets
-    beside the tracks, and `dropped` counts the detections and tracks up to
-    k for which there was no room.
+    steps up to k that an obstacle has ended; None without obstacles. Pose and means are in the world frame, positions
+    in [m], `information` in [1/m^2] for positions; `action` is normalised to [-1, 1] on every axis, and `log_det` is in
+    [nat]. With detections without ids the beliefs are tracks, with their `existence`, and `visible` marks the detected
+    targets of the truth; `undetected` is the expected number of targets beside the tracks, and `dropped` counts the
+    detections and tracks up to k for which there was no room.
+
+    Of a team, pose and action are the first robot's, the beliefs are those of one filter that hears every measurement,
+    `visible` marks what any robot has measured, and `contacts` are all robots'; `team` has every robot's own.
     """
 
     pose: Float[Array, "instants ..."]
@@ -134,6 +146,7 @@ class Trace(eqx.Module):
     existence: Float[Array, "instants n"] | None = None
     undetected: Float[Array, " instants"] | None = None
     dropped: Int[Array, " K"] | None = None
+    team: TeamTrace | None = None
 
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
@@ -202,7 +215,13 @@ class State(eqx.Module):
     dropped: Count | None = None
 
 
-def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count, robot: Robot) -> Observation:
+def observe(
+    predicted: State,
+    known_input: Float[Array, "n m_y"],
+    horizon: Count,
+    robot: Robot,
+    team: TeamView | None = None,
+) -> Observation:
     """The observation of a predicted state in an episode of `horizon` steps."""
     population = predicted.population
     return Observation(
@@ -216,6 +235,7 @@ def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count
         robot=robot.at(predicted.step),
         existence=None if population is None else population.tracks.existence,
         undetected=None if population is None else population.undetected,
+        team=team,
     )
 
 
@@ -226,3 +246,5 @@ class Instant(eqx.Module):
     truth: Truth | None = None
     arrivals: Arrivals | None = None
     scans: ScanNoise | None = None
+    mates_world: Float[Array, "mates d"] | None = None
+    """Where the other robots of a team are before the step [m]."""

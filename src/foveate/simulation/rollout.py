@@ -12,12 +12,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.simulation import step
 from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
 from foveate.simulation.scans import dropped, expected
+from foveate.simulation.team.rollout import rollout as team_rollout
 from foveate.types import Action, Key
 
 FULL_BACKPROPAGATION = Backpropagation()
@@ -108,7 +110,9 @@ def _play(
     record,
     back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> PyTree:
-    """Simulate an episode with a policy."""
+    """Simulate an episode of a single robot with a policy. Raises InputError for a team's."""
+    if episode.team is not None:
+        raise InputError("scenario.team: expected none: only policies that are rolled out have a team")
     problem = problem.of_map(episode.map_number)
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
     memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem)))
@@ -125,6 +129,8 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         protocol: Source of information.
         key: Random key of the policy.
     """
+    if episode.team is not None:
+        return team_rollout(problem, policy, episode, protocol, key)
 
     def columns(state: State):
         belief = {"mean": state.mean, "information": state.information[-1], "present": state.present}

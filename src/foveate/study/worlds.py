@@ -10,7 +10,7 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.evaluation.held_out import HeldOut, Scores, held_out, planning_work, policy_scores
-from foveate.evaluation.verdict import Kind, heuristic_names, heuristics, planned_scores
+from foveate.evaluation.verdict import Kind, heuristics, planned_scores
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import PPOSettings
 from foveate.experiment.presets import adjusted
@@ -145,7 +145,7 @@ class _World:
             found = policy_scores(self._episodes(), rules, lambda done: note(f"{done} of {len(rules)}"))
             return [self._scored(name, "heuristic", scores) for name, scores in found.items()]
 
-        return self._job("heuristics", lambda: [*heuristic_names(self.experiment)], compute)
+        return self._job("heuristics", lambda: [*heuristics(self.experiment)], compute)
 
     def planner(self) -> Job[Any]:
         """Job of the planner."""
