@@ -104,10 +104,10 @@ class TeamEnv(ParallelEnv):
         self._state, seen, scores, score, done = self._programs.advance(self._episode, self._state, chosen)
         reward, over, agents = float(score - self._score), bool(done), self.agents
         self._score = score
-        result = self._each(seen), dict.fromkeys(agents, reward), dict.fromkeys(agents, False)
-        infos = self._infos(scores)
+        observations, infos = self._each(seen), self._infos(scores)
         self.agents = [] if over else agents
-        return (*result, dict.fromkeys(agents, over), infos)
+        rewards = dict.fromkeys(agents, reward)
+        return observations, rewards, dict.fromkeys(agents, False), dict.fromkeys(agents, over), infos
 
     def render(self) -> None:
         """Pictures are of evaluations: see `foveate render`."""

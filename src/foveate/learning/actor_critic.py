@@ -38,6 +38,7 @@ from foveate.learning.worlds import World, informed, most_targets
 from foveate.policies.pointer import Modes, PointerPolicy
 from foveate.policies.tokens import token_size
 from foveate.simulation.records import Policy
+from foveate.simulation.team.step import TeamState
 from foveate.types import Count, Key, Scalar
 
 SHARDS = 2
@@ -112,8 +113,11 @@ def gather(
                 state, ends = first_state(problem, episode, protocol), episode.horizon
             else:
                 episode, state, ends = cut(episode, step_of(one.state), length), one.state, one.ends
-            how = (protocol, world.objective, action_std, action_key, state, ends, discounted, whole)
-            trajectory, last = (play if world.agents == 1 else play_team)(problem, policy, episode, *how)
+            what, how, until = (problem, policy, episode, protocol), (action_std, action_key), (ends, discounted, whole)
+            if isinstance(state, TeamState):
+                trajectory, last = play_team(*what, world.objective, *how, state, *until)
+            else:
+                trajectory, last = play(*what, world.objective, *how, state, *until)
             return trajectory, None if one is None else continued(world, protocol, one, last, scene_key)
 
         part = None if ongoing is None else jax.tree.map(lambda x, rows=rows: x[rows], ongoing)
