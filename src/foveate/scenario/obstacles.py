@@ -13,6 +13,7 @@ from foveate.errors import InputError
 from foveate.geometry import sight
 from foveate.geometry.distance_grid import DistanceGrid, Nodes
 from foveate.geometry.shapes import Shape, is_convex, rectangle
+from foveate.geometry.ways import Ways
 from foveate.io.occupancy import read_map
 from foveate.io.settings import Settings, tag
 from foveate.io.validate import at_least, positive, require
@@ -70,6 +71,7 @@ class BaseObstacles(Settings):
             grid=grid,
             radius=jnp.asarray(self.robot_radius_m, float),
             freest=jnp.asarray(freest, float),
+            ways=Ways.of(nodes, needed),
             training=self.map_counts[0],
             samples=min(max(8, samples), MAX_SAMPLES),
             targets=self.targets,
