@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from foveate.geometry import sight
 from foveate.geometry.distance_grid import DistanceGrid
 from foveate.geometry.shapes import rectangle
+from foveate.geometry.way_tables import tables
 from foveate.geometry.ways import Ways
 from foveate.scenario.obstacle_grids import shape_nodes
 
@@ -25,7 +26,7 @@ LEAST = float(sight.margin(GRID, RADIUS))
 
 @pytest.fixture(scope="module")
 def ways():
-    return Ways.of(NODES, LEAST)
+    return Ways.of(tables(NODES, LEAST), NODES)
 
 
 def places(count: int, seed: int) -> np.ndarray:
@@ -96,5 +97,5 @@ def test_parts_of_a_map_that_are_shut_off_are_no_ends():
     box = [(-2.0, -2.0, 2.0, -1.5), (-2.0, 1.5, 2.0, 2.0), (-2.0, -2.0, -1.5, 2.0), (1.5, -2.0, 2.0, 2.0)]
     nodes = shape_nodes([[rectangle(each[:2], each[2:]) for each in box]], ((-5.0, -5.0), (5.0, 5.0)), 0.2)
     grid = DistanceGrid.of(nodes)
-    found = np.asarray(Ways.of(nodes, LEAST).free_places(grid, jnp.array([[0.0, 0.0]])))
+    found = np.asarray(Ways.of(tables(nodes, LEAST), nodes).free_places(grid, jnp.array([[0.0, 0.0]])))
     assert np.abs(found).max() > 2.0

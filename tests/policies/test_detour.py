@@ -79,9 +79,10 @@ def test_a_robot_arrives_anywhere_among_rooms(seed):
     def go(key):
         which, starts, ends = jax.random.split(key, 3)
         here = problem.of_map(jax.random.randint(which, (), 0, 4))
-        uniform = lambda key: jax.random.uniform(key, (24, 2), minval=-8.0, maxval=8.0)  # noqa: E731
-        start = here.obstacles.free_place(uniform(starts), here.obstacles.radius)
-        end = reachable(here, here.obstacles.free_place(uniform(ends), 0.0 * here.obstacles.radius)[None])[0]
+        places = jax.random.uniform(starts, (24, 2), minval=-8.0, maxval=8.0)
+        assert here.obstacles is not None
+        start = here.obstacles.free_place(places, here.obstacles.radius)
+        end = reachable(here, jax.random.uniform(ends, (1, 2), minval=-8.0, maxval=8.0))[0]
 
         def step(pose, _):
             action = steer_to(here, pose, end, 0.0)

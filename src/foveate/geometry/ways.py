@@ -1,11 +1,9 @@
-"""Shortest ways of a body around obstacles, looked up in tables that are made once for every map.
+"""Shortest ways of a body around obstacles, looked up in the tables of `way_tables`.
 
-Nodes of a lattice at which the body is free are connected with their neighbours. Some of them, spread over the map, are
-anchors; a table has the shortest way from every node to each (Dijkstra, by SciPy). A way goes towards the anchor
-nearest to its end, leaves for the end where that is shorter, and is cut short where the body can go straight.
+A way goes towards the anchor nearest to its end, leaves for the end where that is shorter, and is cut short where the
+body can go straight.
 """
 
-import math
 from itertools import product
 from typing import NamedTuple
 
@@ -14,28 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from foveate.geometry import sight
 from foveate.geometry.distance_grid import DistanceGrid, Nodes
+from foveate.geometry.way_tables import Tables
 from foveate.types import Point, Scalar
-
-MOST_NODES = {2: 64, 3: 24}
-"""Most nodes of the lattice on an axis, by the dimension of space."""
-
-ANCHORS = 64
-"""Anchors of a map."""
 
 FIRST, LAST = (2, 4, 7, 11, 16), tuple(range(9))
 """Nodes after the first of a way, and before its last, that are tried as the next place in a straight line.
 
 An anchor is hardly ever farther from an end than the latter: these are all, or a body could stop between two of them.
 """
-
-SPARE_CELLS = 0.02
-"""What a node has more than the distance at which a body is stopped, in cells: rounding."""
 
 HURRY = 1e-3
 """Share of what is left of a way that is added to it: of equally long ways one leads to a farther place."""
@@ -44,12 +31,14 @@ HURRY = 1e-3
 class Way(NamedTuple):
     """Ways to n places: where to drive next, in a straight line, and the length of each way [m].
 
-    `is_straight` where that place is the end itself, which is also seen from the start.
+    `is_straight` where that place is the end itself, which is also seen from the start; `is_seen` where no obstacle is
+    on the line to the end, whether or not the body can go along it.
     """
 
     place_world: Float[Array, "n d"]
     length: Float[Array, " n"]
     is_straight: Bool[Array, " n"]
+    is_seen: Bool[Array, " n"]
 
 
 class Ways(eqx.Module):
@@ -69,24 +58,16 @@ class Ways(eqx.Module):
     """Number of nodes on each axis."""
 
     @classmethod
-    def of(cls, nodes: Nodes, least_m: float) -> "Ways":
-        """The tables of all maps, for a body that is free where the distance is more than `least_m` [m].
-
-        Every k-th node of the grid is one of the lattice, with k as small as MOST_NODES allows.
-        """
-        most, d = max(nodes.distance.shape[1:]) - 1, len(nodes.low)
-        stride = max(1, math.ceil(most / MOST_NODES[d]))
-        least_m += SPARE_CELLS * nodes.cell_m
-        parts = [_tables(each, least_m, stride, nodes.cell_m) for each in nodes.distance]
-        nearest, anchor, distance, after = (np.stack(part) for part in zip(*parts, strict=True))
+    def of(cls, given: Tables, nodes: Nodes) -> "Ways":
+        """The tables of maps as arrays."""
         return cls(
-            nearest=jnp.asarray(nearest, int),
-            anchor=jnp.asarray(anchor, int),
-            distance=jnp.asarray(distance, float),
-            after=jnp.asarray(after, int),
+            nearest=jnp.asarray(given.nearest, int),
+            anchor=jnp.asarray(given.anchor, int),
+            distance=jnp.asarray(given.distance, float),
+            after=jnp.asarray(given.after, int),
             low=jnp.asarray(nodes.low, float),
-            pitch=jnp.asarray(stride * nodes.cell_m, float),
-            counts=tuple((n - 1) // stride + 1 for n in nodes.distance.shape[1:]),
+            pitch=jnp.asarray(given.stride * nodes.cell_m, float),
+            counts=tuple((n - 1) // given.stride + 1 for n in nodes.distance.shape[1:]),
         )
 
     def free_places(self, grid: DistanceGrid, points_world: Float[Array, "n d"]) -> Float[Array, "n d"]:
@@ -122,7 +103,8 @@ class Ways(eqx.Module):
         places = self._place(jnp.concatenate([before, last], axis=1))
         near = eye + jnp.maximum(1.0 - standoff / jnp.maximum(away, 1e-9), 0.0)[:, None] * (fixed - eye)
         clear, can_approach = self._clear(grid, radius, eye, places, near, len(beside))
-        is_straight = sight.sees(grid, eye, fixed, can_approach)
+        is_seen = sight.sees(grid, eye, fixed, jnp.ones_like(can_approach))
+        is_straight = can_approach & is_seen
         hop = jnp.linalg.norm(places - eye, axis=-1)
         best = jnp.argmin(jnp.where(clear, hop + (1.0 + HURRY) * rest, jnp.inf), axis=1)[:, None]
         length = jnp.take_along_axis(hop + rest, best, 1)[:, 0]
@@ -137,7 +119,7 @@ class Ways(eqx.Module):
         place = jnp.where(clear.any(axis=1, keepdims=True), place, back)
         place = jnp.where(is_straight[:, None], points_world, place)
         least = jnp.maximum(away, jnp.linalg.norm(place - eye, axis=-1))
-        return Way(place, jnp.where(is_straight, away, jnp.maximum(length, least)), is_straight)
+        return Way(place, jnp.where(is_straight, away, jnp.maximum(length, least)), is_straight, is_seen)
 
     def _clear(
         self,
@@ -187,60 +169,3 @@ class Ways(eqx.Module):
 
         first = jnp.broadcast_to(node, anchor.shape)
         return jax.lax.scan(step, first, None, which[-1] + 1)[1][np.array(which)].T
-
-
-def _tables(
-    distance: Float[np.ndarray, "*nodes"], least_m: float, stride: int, cell_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """nearest, anchor, distance and after of one map."""
-    graph = _graph(distance, least_m, stride, cell_m)
-    lattice = distance[(slice(None, None, stride),) * distance.ndim]
-    shape, room = lattice.shape, lattice.ravel()
-    # Of a robot that can be in one of several parts, and a target in another, nothing good can be said.
-    part = connected_components(graph, directed=False)[1]
-    usable = part == np.bincount(part, weights=room > least_m).argmax()
-    index = distance_transform_edt(~usable.reshape(shape), return_distances=False, return_indices=True)
-    nearest = np.ravel_multi_index(tuple(index), shape).ravel()
-
-    own, least = np.arange(len(room)), np.full(len(room), np.inf)
-    anchor, lengths, afters = np.zeros(len(room), int), [], []
-    place = int(np.where(usable, room, -np.inf).argmax())
-    for number in range(ANCHORS):
-        length, after = dijkstra(graph, indices=place, return_predecessors=True)
-        anchor = np.where(length < least, number, anchor)
-        least = np.minimum(least, length)
-        lengths.append(length)
-        afters.append(np.where(after < 0, own, after))
-        place = int(np.where(usable, least, -np.inf).argmax())
-    return nearest, anchor, np.stack(lengths, axis=1), np.stack(afters, axis=1)
-
-
-def _graph(distance: Float[np.ndarray, "*nodes"], least_m: float, stride: int, cell_m: float) -> csr_matrix:
-    """Edges between neighbours on the lattice along which the distance is more than `least_m`, with their lengths [m].
-
-    The distance is looked at where an edge meets nodes of the grid, and in the middle of its cells.
-    """
-    shape = distance[(slice(None, None, stride),) * distance.ndim].shape
-    number = np.arange(math.prod(shape)).reshape(shape)
-    rows, columns, lengths = [], [], []
-    for offset in product((-1, 0, 1), repeat=distance.ndim):
-        if not any(offset):
-            continue
-        begin, end = (
-            np.ix_(*(np.arange(max(0, -sign * i), n - max(0, sign * i)) for i, n in zip(offset, shape, strict=True)))
-            for sign in (1, -1)
-        )
-        corners = list(product(*({0, i} for i in offset)))
-        room = np.full(number[begin].shape, np.inf)
-        for part in range(stride + 1):
-            at = [axis * stride + part * i for axis, i in zip(begin, offset, strict=True)]
-            room = np.minimum(room, distance[tuple(at)])
-            if part < stride:
-                cell = [distance[tuple(axis + i for axis, i in zip(at, corner, strict=True))] for corner in corners]
-                room = np.minimum(room, np.mean(cell, axis=0))
-        is_free = room > least_m
-        rows.append(number[begin][is_free])
-        columns.append(number[end][is_free])
-        lengths.append(np.full(is_free.sum(), stride * cell_m * math.sqrt(sum(map(abs, offset)))))
-    edges = np.concatenate(rows), np.concatenate(columns)
-    return csr_matrix((np.concatenate(lengths), edges), shape=(number.size, number.size))

@@ -9,12 +9,15 @@ from foveate.models.problem import Problem
 from foveate.policies.steering import steer
 from foveate.types import Action, Point, Pose, Scalar
 
+TINY_M = 1e-6
+"""Distance [m] below which a place is where the agent is, and in no direction."""
+
 
 class Unfolded(NamedTuple):
-    """Places in the body frame [m] as if the ways to them were straight: in the direction in which each begins, and as
-    far away as it is long.
+    """Places in the body frame [m] as if the ways to them were straight.
 
-    An agent that stops `rest` [m] before it stops where the way bends, or at its standoff where the way `is_straight`.
+    Each is in the direction in which its way begins, and as far away as that is long. An agent that stops `rest` [m]
+    before it stops where the way bends, or at its standoff where the way `is_straight`.
     """
 
     points_body: Float[Array, "n d"]
@@ -30,11 +33,20 @@ def unfolded(problem: Problem, pose: Pose, points_world: Float[Array, "n d"], st
         count = len(points_world)
         return Unfolded(points_body, jnp.full(count, standoff_m, points_body.dtype), jnp.ones(count, bool))
     way = problem.obstacles.ways_to(space.position(pose), points_world, standoff_m)
-    place_body = space.to_body(pose, way.place_world)
-    hop = jnp.sqrt(jnp.sum(place_body**2, axis=-1) + 1e-12)
-    bent = place_body * (way.length / hop)[:, None]
-    is_straight = way.is_straight
-    rest = jnp.where(is_straight, standoff_m, way.length - hop)
+    return unfold(points_body, space.to_body(pose, way.place_world), way.length, way.is_straight, standoff_m)
+
+
+def unfold(
+    points_body: Float[Array, "n d"],
+    place_body: Float[Array, "n d"],
+    length: Float[Array, " n"],
+    is_straight: Bool[Array, " n"],
+    standoff_m: Scalar | float,
+) -> Unfolded:
+    """Unfold the ways to points that begin towards a place each, and are so long [m]."""
+    hop = jnp.sqrt(jnp.sum(place_body**2, axis=-1) + TINY_M**2)
+    bent = place_body * (length / hop)[:, None]
+    rest = jnp.where(is_straight, standoff_m, length - hop)
     return Unfolded(jnp.where(is_straight[:, None], points_body, bent), rest, is_straight)
 
 

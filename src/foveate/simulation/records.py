@@ -49,6 +49,21 @@ class Episode(eqx.Module):
     map_number: Count | None = None
 
 
+class Surroundings(eqx.Module):
+    """What a robot may be told of obstacles: `ranges` along its rays [m], and what is between it and each target.
+
+    `place_world` [m] is where to drive next, in a straight line, on the way to where a target is believed to be, and
+    `length` [m] that of the whole way; it `is_straight` where the place is the target's. `is_seen` where no obstacle is
+    on the line to it. See `geometry.ways`.
+    """
+
+    ranges: Float[Array, " rays"]
+    place_world: Float[Array, "n d"]
+    length: Float[Array, " n"]
+    is_straight: Bool[Array, " n"]
+    is_seen: Bool[Array, " n"]
+
+
 class Observation(eqx.Module):
     """Input of a policy at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
 
@@ -66,6 +81,8 @@ class Observation(eqx.Module):
     known_input: Float[Array, "n m_y"]
     robot: Robot | None = None
     """What a policy may know about its robot; None for policies that ask for nothing."""
+    surroundings: Surroundings | None = None
+    """What a robot without a map of ours is told of obstacles; None: as the robot's map has it."""
 
     @property
     def map_number(self) -> Count | None:
