@@ -14,10 +14,10 @@ from foveate.deploy.tracks import Seen as Seen
 from foveate.deploy.untrained import heuristic as heuristic
 from foveate.deploy.untrained import planner as planner
 from foveate.errors import InputError as InputError
-from foveate.evaluation.evaluate import Row as Row
 from foveate.evaluation.evaluate import Suite as Suite
 from foveate.evaluation.evaluate import prepare as prepare
 from foveate.evaluation.report import Evaluation as Evaluation
+from foveate.evaluation.rows import Row as Row
 from foveate.evaluation.summary import Summary as Summary
 from foveate.evaluation.verdict import Verdict as Verdict
 from foveate.evaluation.verdict import VerdictRow as VerdictRow
@@ -83,6 +83,8 @@ from foveate.scenario.target import DriftTarget as DriftTarget
 from foveate.scenario.target import LinearTarget as LinearTarget
 from foveate.scenario.target import StaticTarget as StaticTarget
 from foveate.scenario.target import VelocityTarget as VelocityTarget
+from foveate.scenario.team import RadioSettings as RadioSettings
+from foveate.scenario.team import TeamSettings as TeamSettings
 from foveate.simulation.environment import Environment as Environment
 from foveate.simulation.environment import EnvironmentState as EnvironmentState
 from foveate.simulation.environment import Transition as Transition
@@ -94,6 +96,8 @@ from foveate.simulation.records import Trace as Trace
 from foveate.simulation.rollout import rollout as rollout
 from foveate.simulation.suites import own_suite as own_suite
 from foveate.simulation.suites import table1 as table1
+from foveate.simulation.team.records import TeamTrace as TeamTrace
+from foveate.simulation.team.records import TeamView as TeamView
 from foveate.study.methods import Benchmark as Benchmark
 from foveate.study.methods import Fixed as Fixed
 from foveate.study.methods import Learned as Learned

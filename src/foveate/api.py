@@ -156,7 +156,7 @@ def evaluate(
             list, whose members run in the scenario of the first, each as a method of its own name.
         scenes: File, list, "table1" (the paper's; default in the plane), or "own" (of the scenario; default in space).
         method: "policy", "random", "still", "nearest", "uncertain", "lawnmower", "price", "window", "post", several, or
-            "all".
+            "all"; in a team also NAME+RULE, with targets assigned by "greedy", "hungarian" or "auction".
         protocol: Information from the paper's soft view (surrogate), from real measurements (true), or both.
         episodes: Episodes per scene.
         seed: Seed of the noise.

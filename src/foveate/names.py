@@ -11,6 +11,9 @@ Heuristic = Literal["random", "still", "nearest", "uncertain", "lawnmower", "pri
 Method = Literal["policy", Heuristic]
 """The trained policy, or a heuristic."""
 
+Assignment = Literal["greedy", "hungarian", "auction"]
+"""Rule by which the robots of a team share the targets: a method is NAME+RULE."""
+
 Learner = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 """A training algorithm with its settings."""
 
@@ -20,8 +23,8 @@ Preset = Literal["paper", "best", "true-view", "search", "quadrotor", "any", "pa
 ProtocolName = Literal["surrogate", "true"]
 """Source of information: the paper's soft view, or real measurements."""
 
-Objective = Literal["terminal", "mean", "seen"]
-"""Return of the actor-critic: score at the horizon, its mean over the steps, or share of time in view."""
+Objective = Literal["terminal", "mean", "seen", "gospa"]
+"""Return of the actor-critic: score at the horizon, its mean over the steps, share of time in view, or minus GOSPA."""
 
 Goal = Literal["seen", "information"]
 """Aim of a fitted experiment: targets in view, or all of them well known."""
@@ -37,6 +40,7 @@ FirstVelocity = Literal["zero", "truth"]
 
 HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
 METHODS: tuple[Method, ...] = get_args(Method)
+ASSIGNMENTS: tuple[Assignment, ...] = get_args(Assignment)
 LEARNER_NAMES: tuple[Learner, ...] = get_args(Learner)
 PRESET_NAMES: tuple[Preset, ...] = get_args(Preset)
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)

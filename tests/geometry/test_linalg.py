@@ -8,7 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from foveate.geometry.linalg import cholesky_spd, inverse_spd, log_det_spd, multiply, symmetrise, vech
+from foveate.geometry.linalg import (
+    cholesky_spd,
+    inverse_spd,
+    inverse_upper,
+    log_det_spd,
+    multiply,
+    root_semidefinite,
+    symmetrise,
+    vech,
+)
 
 SIZES = pytest.mark.parametrize("size", [*range(1, 7), 9, 10])
 DTYPES = pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -67,6 +76,25 @@ def test_inverse_and_log_det(size, dtype):
     np.testing.assert_allclose(log_det, np.linalg.slogdet(given)[1], rtol=0, atol=tolerance)
     # What the filter relies on: the result is symmetric, to the last bits.
     np.testing.assert_allclose(inverse, np.swapaxes(inverse, -1, -2), rtol=0, atol=20 * np.finfo(dtype).eps)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 9])
+def test_inverse_of_upper_triangular_matrices(size):
+    matrix = np.triu(np.random.default_rng(size).normal(size=(size, size))) + 2.0 * np.eye(size)
+    below = np.tril(np.full((size, size), np.nan), -1)
+    np.testing.assert_allclose(jax.jit(inverse_upper)(matrix + below), np.linalg.inv(matrix), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize(("size", "rank"), [(1, 0), (2, 2), (4, 2), (4, 4), (6, 3), (9, 5)])
+def test_root_of_semidefinite_matrices(size, rank, dtype):
+    factor = np.random.default_rng([size, rank]).normal(size=(size, rank))
+    factor[:1] = 0.0  # an axis without noise
+    matrix = (factor @ factor.T).astype(dtype)
+    root = np.asarray(jax.jit(root_semidefinite)(matrix))
+    assert root.dtype == dtype
+    np.testing.assert_array_equal(root, np.tril(root))
+    np.testing.assert_allclose(root @ root.T, matrix, atol=2e3 * np.finfo(dtype).eps)
 
 
 @SIZES

@@ -165,7 +165,7 @@ def replay_faults(data: dict) -> list[str]:
 
 
 def verdict_faults(data: dict) -> list[str]:
-    faults = record_faults("file", data, {"objective": one_of("terminal", "mean", "seen")})
+    faults = record_faults("file", data, {"objective": one_of("terminal", "mean", "seen", "gospa")})
     faults += list_faults(data, "rows", rows_of(VERDICT_ROW))
     if not faults and data["rows"][0]["method"] != "policy":
         return ["rows[0]: expected the policy"]

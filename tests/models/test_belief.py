@@ -1,5 +1,7 @@
 """The information filter against a textbook covariance filter, filterpy's, and scipy's Gaussian."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,27 +23,37 @@ def covariance(rng, size, scale=1.0):
 
 
 class System:
-    """Random full matrices; A has spectral radius about 0.95, so that 50 steps stay in range."""
+    """Random full matrices; A has spectral radius about 0.95, so that 50 steps stay in range.
 
-    def __init__(self, n_y, n_z, m_y, singular=False):
+    `kind` "reversible": A is upper triangular, and one axis has no process noise.
+    """
+
+    def __init__(self, n_y, n_z, m_y, kind="full"):
         rng = np.random.default_rng([n_y, n_z, m_y])
         A = rng.normal(size=(n_y, n_y))
         self.A = A * 0.95 / np.abs(np.linalg.eigvals(A)).max()
-        if singular:
+        if kind == "reversible":
+            self.A = np.triu(0.3 * A, 1) + np.diag(rng.uniform(0.5, 1.0, n_y))
+        if kind == "singular":
             left, values, right = np.linalg.svd(self.A)
             values[-1] = 0.0
             self.A = (left * values) @ right
         self.B, self.H = rng.normal(size=(n_y, m_y)), rng.normal(size=(n_z, n_y))
         self.W, self.V, self.prior = covariance(rng, n_y, 0.1), covariance(rng, n_z, 0.5), covariance(rng, n_y, 2.0)
+        if kind == "reversible":
+            self.W[-1] = self.W[:, -1] = 0.0
         self.mean = rng.normal(size=n_y)
         self.inputs = rng.normal(size=(50, m_y))
         self.measurements = rng.normal(size=(50, n_z)) * 3
         self.visible = rng.random(50) < 0.4
 
+    @property
+    def motion(self):
+        return LinearGaussian.of(self.A, self.B, self.W, np.eye(1, len(self.A)))
+
     def information_filter(self):
         """Means and covariances by foveate after each of 50 steps."""
-        motion = LinearGaussian(*(jnp.asarray(x) for x in (self.A, self.B, self.W)), Z=jnp.eye(1, len(self.A)))
-        H, V = jnp.asarray(self.H), jnp.asarray(self.V)
+        motion, H, V = self.motion, jnp.asarray(self.H), jnp.asarray(self.V)
         gain = jnp.asarray(self.H.T @ np.linalg.solve(self.V, self.H))
 
         def step(belief, now):
@@ -86,9 +98,11 @@ class System:
         return np.array(means), np.array(covariances)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_equals_covariance_form_filters(shape):
-    system = System(*shape)
+@pytest.mark.parametrize("kind", ["full", "reversible"])
+@pytest.mark.parametrize("shape", [*SHAPES, (9, 3, 3)])
+def test_equals_covariance_form_filters(shape, kind):
+    system = System(*shape, kind)
+    assert system.motion.is_reversible == (kind == "reversible" and shape[0] > 1)
     assert 5 < system.visible.sum() < 45
     means, covariances = system.information_filter()
     for oracle in (system.textbook, system.filterpy):
@@ -100,12 +114,31 @@ def test_equals_covariance_form_filters(shape):
 @pytest.mark.parametrize("shape", [(2, 1, 2), (4, 2, 2)])
 def test_singular_motion(shape):
     """The paper's printed form needs A^-1; W makes up for what A loses."""
-    system = System(*shape, singular=True)
+    system = System(*shape, "singular")
     assert np.linalg.matrix_rank(system.A) == shape[0] - 1
     means, covariances = system.information_filter()
     expected_means, expected_covariances = system.textbook()
     np.testing.assert_allclose(means, expected_means, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(covariances, expected_covariances, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["full", "reversible"])
+@pytest.mark.parametrize("part", ["information", "A", "W"])
+def test_derivatives_of_the_prediction_by_central_differences(kind, part):
+    system, rng = System(4, 2, 2, kind), np.random.default_rng(0)
+    information, motion, h = jnp.linalg.inv(jnp.asarray(system.prior)), system.motion, 1e-6
+    motion = replace(motion, W=motion.W + 0.1 * jnp.eye(4))
+    direction = np.triu(rng.normal(size=(4, 4)))
+    direction = direction if part == "A" else direction + direction.T
+
+    def predicted(x):
+        if part == "information":
+            return predict_information(information + x * direction, motion)
+        return predict_information(information, replace(motion, **{part: getattr(motion, part) + x * direction}))
+
+    found = jax.jit(lambda x: jax.jvp(predicted, (x,), (1.0,))[1])(0.0)
+    values = jax.jit(predicted)
+    np.testing.assert_allclose(found, (values(h) - values(-h)) / (2 * h), rtol=1e-6, atol=1e-8)
 
 
 def long_run(motion, gain, prior, pattern):
@@ -140,8 +173,8 @@ def test_ten_thousand_steps_in_float32(n_y):
     seen = np.random.default_rng(0).random(10_000) < 0.1
     pattern = np.stack([np.zeros(10_000), np.ones(10_000), seen], axis=1)
 
-    A32, W32, gain32, prior32, pattern32 = (jnp.asarray(x, jnp.float32) for x in (A, W, gain, prior, pattern))
-    motion = LinearGaussian(A32, jnp.zeros((n_y, 1), jnp.float32), W32, jnp.asarray(H, jnp.float32))
+    gain32, prior32, pattern32 = (jnp.asarray(x, jnp.float32) for x in (gain, prior, pattern))
+    motion = jax.tree.map(lambda x: x.astype(jnp.float32), LinearGaussian.of(A, np.zeros((n_y, 1)), W, H))
     last, (asymmetry, smallest) = long_run(motion, gain32, prior32, pattern32)
     assert last.dtype == np.float32
     assert asymmetry.max() < 1e-6

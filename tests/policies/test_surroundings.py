@@ -10,6 +10,7 @@ import shapely
 from helpers.observations import seen
 
 from foveate.geometry.sight import fan
+from foveate.models.robot import Surroundings
 from foveate.policies.detour import steer_to
 from foveate.policies.pointer import PointerSettings
 from foveate.policies.surroundings import RANGE_DEPTHS, surroundings
@@ -18,7 +19,6 @@ from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.obstacles import ShapeObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
-from foveate.simulation.records import Surroundings
 
 BOXES = ((0.0, -4.0, 0.5, 4.0), (-5.0, 2.0, -1.0, 2.5))
 HALL = SceneSettings(half_side_m=(8.0, 8.0), half_side_per_target_m=0.0)

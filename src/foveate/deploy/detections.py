@@ -20,10 +20,9 @@ from foveate.errors import InputError
 from foveate.models.detections import filter as pmb
 from foveate.models.detections.records import DetectionModel, Population, Scan
 from foveate.models.problem import Problem
-from foveate.models.target import LinearGaussian
 from foveate.scenario.detections import DetectionSettings
+from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import MAX_LENGTH
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +153,7 @@ class DetectionTracker(Observing):
         motion, share = problem.motion, length_s / tau_s
         if dt_s is not None:
             A, B, W = (jnp.asarray(part, float) for part in self._over(length_s))
-            motion = LinearGaussian(A=A, B=B, W=W, Z=motion.Z)
+            motion = replace(motion, A=A, B=B, W=W)
         self._population = _predict(replace(problem, motion=motion), self._model, self._population, jnp.asarray(share))
         self.step, self._step_s = self.step + 1, length_s
 

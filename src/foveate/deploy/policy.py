@@ -23,8 +23,9 @@ from foveate.experiment.resolve import NamedPolicy, in_scenario, told
 from foveate.experiment.run_folder import BEST
 from foveate.models.problem import Problem
 from foveate.names import Objective, ProtocolName
+from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import MAX_LENGTH, Scene
+from foveate.scenario.scenes import Scene
 
 if TYPE_CHECKING:
     from foveate.plotting.simulated import SimulatedEpisode

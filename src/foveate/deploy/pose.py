@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from foveate.errors import InputError
 from foveate.geometry.numpy_poses import rotation_quaternion
-from foveate.scenario.scenes import MAX_LENGTH
+from foveate.scenario.rows import MAX_LENGTH
 
 QuaternionOrder = Literal["wxyz", "xyzw"]
 """Order of a quaternion: w first, as foveate's files have it, or last, as ROS, SciPy and Eigen have it."""

@@ -15,8 +15,8 @@ from foveate.deploy.tracks import Seen, Tracks, check_id, checked
 from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.names import GATE
+from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import MAX_LENGTH
 
 SAME_S = 1e-6
 """Times that differ by less are the same: a sum of many steps, or a clock from 1970, is no more exact."""

@@ -17,8 +17,8 @@ from foveate.deploy.motion import Matrices
 from foveate.errors import InputError
 from foveate.models.gate import RESTART_AFTER, gate_limit
 from foveate.models.problem import Problem
+from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import MAX_LENGTH
 
 MAX_COUNTED = 10_000
 """Most ids whose rejections are counted."""

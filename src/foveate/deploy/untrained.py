@@ -11,9 +11,10 @@ from foveate.deploy.policy import RobotPolicy
 from foveate.errors import InputError
 from foveate.evaluation.plan import PlanOptions
 from foveate.experiment.experiment import Experiment
-from foveate.experiment.resolve import NamedPolicy, experiment_from, heuristic_in, subject_of
+from foveate.experiment.resolve import NamedPolicy, experiment_from, subject_of
 from foveate.io.validate import require, seed_number
 from foveate.names import ProtocolName
+from foveate.planning.named import heuristic_in
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import PROTOCOLS, Policy
 

@@ -4,17 +4,20 @@ import time
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
+from foveate.evaluation.detections import detection_measures
 from foveate.evaluation.metrics import measures
+from foveate.evaluation.rows import Row
+from foveate.evaluation.team import team_measures
 from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning.devices import cores
-from foveate.models.precision import rounds_alike, warn_of_rounding
+from foveate.models.precision import suits_quick_compilation, warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
@@ -24,55 +27,11 @@ from foveate.simulation.records import PROTOCOLS, Episode, Observation, Policy, 
 from foveate.simulation.rollout import rollout
 from foveate.simulation.step import predict, start
 from foveate.simulation.suites import scene_episodes
+from foveate.simulation.team.rollout import first_observations
 
 EPISODES_PER_CHUNK = 48
 """Episodes in a batch: every suite runs the same compiled program, and the built-in ones of 90 and 180 episodes, which
 that hardly pads, leave work for every core. Other sizes round differently."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recorded:
-    """A row of a table that a file holds, too."""
-
-    def record(self) -> dict[str, Any]:
-        """All fields as plain values; `contacts` only among obstacles."""
-        return {name: value for name, value in asdict(self).items() if name != "contacts" or value is not None}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row(Recorded):
-    """One episode of one method under one protocol.
-
-    `score`: sum_j log det Y_K / targets [nat]; `entropy`: mean differential entropy at the end [nat]; both None
-    without targets. `seen_fraction`: targets measured at least once; `seen_step_fraction`: measured targets among all
-    targets of all steps; `longest_unseen_s`: the longest time without a measurement of any target. `rmse_m` and `nees`
-    (consistent: the state's length) at the horizon, over all targets, over those seen and over those never seen (None
-    without such targets). `step_time_s`: a single compiled decision on this machine. `objective`: score by what the
-    experiment trains for: `score`, its mean over the steps, or `seen_step_fraction`; None if it trains for nothing.
-    `contacts`: steps that an obstacle has ended; None without obstacles.
-    """
-
-    scene: str
-    episode: int
-    seed: int
-    method: str
-    protocol: str
-    motion: str
-    targets: int
-    score: float | None
-    seen_fraction: float
-    seen_step_fraction: float
-    longest_unseen_s: float
-    entropy: float | None
-    rmse_m: float
-    nees: float
-    rmse_seen_m: float | None
-    rmse_unseen_m: float | None
-    nees_seen: float | None
-    nees_unseen: float | None
-    step_time_s: float
-    objective: float | None = None
-    contacts: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,9 +90,8 @@ _SIMULATE = {quick: compiled(_run, quick) for quick in (False, True)}
 
 
 def compiles_quickly(problem: Problem, policy: Policy) -> bool:
-    """True for positions in the plane and a policy that is no planner, as `compiled` and `rounds_alike` explain."""
-    is_planner = isinstance(policy, OpenLoop | Receding)
-    return problem.agent.space.dimension == 2 and rounds_alike(problem) and not is_planner
+    """True where `suits_quick_compilation`, and for a policy that is no planner, as `compiled` explains."""
+    return suits_quick_compilation(problem) and not isinstance(policy, OpenLoop | Receding)
 
 
 @jax.jit
@@ -181,6 +139,8 @@ def evaluate_traces(
 
 @eqx.filter_jit
 def _first_observation(problem: Problem, episode: Episode) -> Observation:
+    if episode.team is not None:
+        return jax.tree.map(lambda x: x[0], first_observations(problem, episode, PROTOCOLS["true"]))
     problem = problem.of_map(episode.map_number)
     predicted = predict(problem, start(problem, episode, PROTOCOLS["true"]), episode.inputs[0])
     return observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem))
@@ -233,7 +193,13 @@ def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_ti
     """Rows of the traces of a method, one an episode; `step_times` [s] are those of a decision in each episode."""
     count = suite.episodes_per_scene
     scenes = [scene for scene in suite.scenes for _ in range(count)]
-    measured = measures(suite.problem, trace, np.asarray(suite.truth.state), scenes, suite.objective)
+    truth, scans = np.asarray(suite.truth.state), suite.episodes.scans
+    if scans is None:
+        measured = measures(suite.problem, trace, truth, scenes, suite.objective)
+    else:
+        alive = np.asarray(scans.alive)
+        measured = detection_measures(suite.problem, trace, truth, alive, scenes, suite.objective)
+    teams = team_measures(trace.team, scenes, suite.objective)
     return [
         Row(
             scene=scene.id,
@@ -245,6 +211,7 @@ def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_ti
             targets=len(scene.targets),
             step_time_s=step_time,
             **numbers,
+            **team,
         )
-        for i, (scene, numbers, step_time) in enumerate(zip(scenes, measured, step_times, strict=True))
+        for i, (scene, numbers, team, step_time) in enumerate(zip(scenes, measured, teams, step_times, strict=True))
     ]

@@ -7,7 +7,7 @@ target and every track without a partner. It is not divided by any number of tar
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 
@@ -22,12 +22,21 @@ class Gospa(NamedTuple):
 
 def gospa(estimates: Float[np.ndarray, "e d"], targets: Float[np.ndarray, "t d"], c_m: float) -> Gospa:
     """GOSPA with p = 2 and alpha = 2 between estimated and true positions [m], at the distance c [m]."""
+    rows, columns = pairs(estimates, targets, c_m)
+    near = ((estimates[rows] - targets[columns]) ** 2).sum()
+    alone = 0.5 * c_m**2 * (len(targets) - len(rows)), 0.5 * c_m**2 * (len(estimates) - len(rows))
+    parts = near, *alone
+    return Gospa(*np.sqrt([sum(parts), *parts]).tolist())
+
+
+def pairs(
+    estimates: Float[np.ndarray, "e d"], targets: Float[np.ndarray, "t d"], c_m: float
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+    """Estimates and targets, by their numbers, that GOSPA pairs: nearer to each other than c [m]."""
     apart = ((estimates[:, None] - targets) ** 2).sum(axis=-1)
     rows, columns = linear_sum_assignment(np.minimum(apart, c_m**2))
-    paired = apart[rows, columns]
-    near = paired[paired < c_m**2]
-    parts = near.sum(), 0.5 * c_m**2 * (len(targets) - len(near)), 0.5 * c_m**2 * (len(estimates) - len(near))
-    return Gospa(*np.sqrt([sum(parts), *parts]).tolist())
+    near = apart[rows, columns] < c_m**2
+    return rows[near], columns[near]
 
 
 def mean_gospa(

@@ -23,9 +23,10 @@ MEANINGS: dict[Objective, str] = {
     "terminal": "log det at the end [nat per target]",
     "mean": "mean log det over the steps [nat per target]",
     "seen": "share of time in view",
+    "gospa": "minus the mean GOSPA over the steps [m]",
 }
 """Scores by the objectives of a training, in words."""
-DIGITS: dict[Objective, int] = {"terminal": 2, "mean": 2, "seen": 3}
+DIGITS: dict[Objective, int] = {"terminal": 2, "mean": 2, "seen": 3, "gospa": 2}
 """Digits after the point to show them with."""
 
 
@@ -63,20 +64,20 @@ def measures(
             "seen_step_fraction": in_view,
             "longest_unseen_s": float(unseen_s[i]),
             **error_measures(squared_error[i, own], consistency[i, own], seen[i, own]),
-            "objective": None if score is None else _by_objective(objective, score, over_steps, in_view),
+            "objective": None if score is None else by_objective(objective, score, over_steps, in_view),
             "contacts": None if trace.contacts is None else int(trace.contacts[i, horizons[i] - 1]),
         }
 
     return [row(i) for i in range(len(scenes))]
 
 
-def _by_objective(
+def by_objective(
     objective: Objective | None, score: float, log_det: Float[np.ndarray, "K n"], in_view: float
 ) -> float | None:
     """Score by the objective of a training [nat per target, or share of time in view]."""
     if objective == "mean":
         return float(log_det.mean())
-    return {None: None, "terminal": score, "seen": in_view}[objective]
+    return {"terminal": score, "seen": in_view}.get(objective or "")
 
 
 def mean_or_zero(values: Float[np.ndarray, "*m"] | Bool[np.ndarray, "*m"]) -> float:

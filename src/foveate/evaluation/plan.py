@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from foveate.errors import InputError
-from foveate.evaluation.evaluate import Row, prepare
+from foveate.evaluation.detections import protocols_in, require_ids
+from foveate.evaluation.evaluate import prepare
 from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import WINDOW, planner, planner_rows
 from foveate.evaluation.report import Evaluation, evaluation, rows_by_protocol
+from foveate.evaluation.rows import Row
 from foveate.evaluation.summary import summarise
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.resolve import NamedPolicy, experiment_from, subject_of
@@ -92,9 +94,17 @@ def planning_subject(
         raise InputError(f"refine {refine}: expected the policy to refine: give run")
     if run is None:
         settings = experiment_from(experiment)
+        _require_single(settings)
         return settings, None, None, None if isinstance(experiment, Scenario) else settings.training.objective
     subject = subject_of(run)
+    _require_single(subject.experiment)
     return subject.experiment, None if refine is None else subject.network(), subject.name, subject.objective
+
+
+def _require_single(experiment: Experiment) -> None:
+    team = experiment.scenario.problem().team
+    if team is not None:
+        raise InputError(f"scenario.team.agents = {team.agents}: expected 1: planners decide for single robots")
 
 
 def evaluate_plans(
@@ -115,7 +125,10 @@ def evaluate_plans(
 
     `policy` is the one to refine, `chosen` the name of the scenes; rows are scored by the `objective`, too.
     """
+    if options.omniscient or options.refine is not None:
+        require_ids(experiment.scenario, "omniscient" if options.omniscient else f"refine {options.refine}")
     problem, scene_settings = experiment.scenario.problem(), experiment.scenario.scenes
+    protocols = protocols_in(experiment.scenario, protocols)
     suite = prepare(problem, scene_settings, scenes, seed, episodes, objective)
 
     def rows_of(protocol: str, on_progress: OnProgress) -> list[Row]:

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foveate.evaluation.bounds import lower_bounds, with_normalised_scores
-from foveate.evaluation.evaluate import Row, Suite, evaluate, prepare
+from foveate.evaluation.detections import protocols_in, require_ids
+from foveate.evaluation.evaluate import Suite, evaluate, prepare
 from foveate.evaluation.oracle import OnProgress, oracle_rows
+from foveate.evaluation.rows import Row
 from foveate.evaluation.summary import Summary, summarise, write_result
 from foveate.evaluation.summary_table import summary_table, summary_tables
 from foveate.experiment.experiment import Experiment
@@ -110,7 +112,9 @@ def evaluate_all(
     Rows are scored by the `objective`, too. With `normalised`, run the omniscient planner too: that takes minutes,
     once. Raises InputError for a problem that it does not bound.
     """
-    problem = experiment.scenario.problem()
+    if normalised:
+        require_ids(experiment.scenario, "normalised")
+    problem, protocols = experiment.scenario.problem(), protocols_in(experiment.scenario, protocols)
     # Before anything long begins, as it rejects problems without bounds.
     lower = lower_bounds(problem, scenes) if normalised else {}
     suite = prepare(problem, experiment.scenario.scenes, scenes, seed, episodes, objective)

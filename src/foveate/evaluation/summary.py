@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from foveate.evaluation.evaluate import Recorded, Row
 from foveate.evaluation.metrics import chi_square_band
+from foveate.evaluation.rows import Recorded, Row
 from foveate.evaluation.statistics import mean_interval
 from foveate.io.files import file_error, read_document, write_document
 from foveate.io.grouping import group_by
@@ -21,6 +21,8 @@ VERSION = 2
 MEANS = (
     *("seen_fraction", "seen_step_fraction", "longest_unseen_s"),
     *("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "objective", "contacts"),
+    *("gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped"),
+    *("worst_score", "worst_objective", "members_nees"),
 )
 """Fields of a summary that are means of the same fields of rows."""
 
@@ -37,6 +39,8 @@ class Summary(Recorded):
     `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
     planner's score (1); None unless requested. `objective`: mean score by the objective of the experiment's training;
     None without one. `contacts`: mean number of steps that an obstacle has ended; None without obstacles.
+    GOSPA with its parts, and `dropped`: as in `Row`; None with ids.
+    `agents`: robots of the team, `worst_..` and `members_nees`: means of the same fields of rows; None of one robot.
     """
 
     method: str
@@ -62,6 +66,15 @@ class Summary(Recorded):
     normalised_score: float | None = None
     objective: float | None = None
     contacts: float | None = None
+    gospa: float | None = None
+    gospa_localisation: float | None = None
+    gospa_missed: float | None = None
+    gospa_false: float | None = None
+    dropped: float | None = None
+    agents: int | None = None
+    worst_score: float | None = None
+    worst_objective: float | None = None
+    members_nees: float | None = None
 
     @property
     def deviation(self) -> float | None:
@@ -106,6 +119,7 @@ def _summary(rows: Sequence[Row], state_size: int) -> Summary:
         ci95=mean_interval(list(scene_means(rows).values())),
         nees_band=chi_square_band(state_size, first.targets * share * len(rows)),
         episodes=len(rows),
+        agents=first.agents,
         **measures,
     )
 

@@ -31,7 +31,12 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "targets": lambda cell: str(cell.targets),
     "objective": lambda cell: number(cell.objective, 3),
     "score [nat]": lambda cell: plus_minus(cell.mean, cell.interval),
+    "worst robot": lambda cell: number(cell.worst_score if cell.worst_objective is None else cell.worst_objective),
     "normalised": lambda cell: number(cell.normalised_score, 3),
+    "GOSPA [m]": lambda cell: plus_minus(cell.gospa or 0.0, cell.interval),
+    "errors": lambda cell: number(cell.gospa_localisation),
+    "missed": lambda cell: number(cell.gospa_missed),
+    "false": lambda cell: number(cell.gospa_false),
     "detected": lambda cell: f"{cell.seen_fraction:.0%}",
     "NEES (band)": _nees,
     "contacts": lambda cell: number(cell.contacts),
@@ -40,6 +45,7 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "longest gap [s]": lambda cell: f"{cell.longest_unseen_s:.1f}",
     "RMSE [m]": lambda cell: number(cell.rmse_m),
     "NEES of detected": lambda cell: number(cell.nees_seen, 1),
+    "NEES of robots": lambda cell: number(cell.members_nees, 1),
     "NEES of undetected": lambda cell: number(cell.nees_unseen, 1),
     "episodes": lambda cell: str(cell.episodes),
 }
@@ -53,7 +59,9 @@ NOTES = {
     "is better.",
     "normalised": "normalised: 0 for never seeing a target, 1 for the omniscient planner, a reference and no bound.",
     "detected": "detected: targets measured at least once.",
+    "worst robot": "score and NEES: by all measurements of the team; worst robot: by its own beliefs.",
     "contacts": "contacts: steps that an obstacle has ended.",
+    "GOSPA [m]": "GOSPA: of confirmed tracks, the mean over the steps, with its parts; less is better.",
     "NEES (band)": "NEES: within its 95 % band, in brackets, if the filter is consistent; above it if overconfident, "
     "below it if underconfident.",
 }
@@ -72,12 +80,17 @@ def summary_table(title: str, summary: Sequence[Summary], objective: Objective |
 
     The score by the objective "terminal" is the score itself.
     """
+    has_gospa = any(cell.gospa is not None for cell in summary)
     shown = {
         "protocol": len({cell.protocol for cell in summary}) > 1,
         "motion": len({cell.motion for cell in summary}) > 1,
-        "objective": objective not in (None, "terminal"),
+        "objective": objective not in (None, "terminal", "gospa"),
         "normalised": any(cell.normalised_score is not None for cell in summary),
         "contacts": any(cell.contacts is not None for cell in summary),
+        **dict.fromkeys(("GOSPA [m]", "errors", "missed", "false"), has_gospa),
+        **dict.fromkeys(("score [nat]", "NEES (band)"), not has_gospa),
+        "worst robot": any(cell.worst_score is not None for cell in summary),
+        "NEES of robots": any(cell.members_nees is not None for cell in summary),
     }
     header = tuple(name for name in COLUMNS if shown.get(name, True))
     trained_for = [f"objective: {MEANINGS[objective]}, as trained for."] if objective and shown["objective"] else []

@@ -19,8 +19,8 @@ from foveate.io.progress import Bar
 from foveate.io.provenance import provenance
 from foveate.io.records import from_table
 from foveate.io.tables import Table, html, text
-from foveate.names import HEURISTICS, Objective, ProtocolName
-from foveate.planning.named import heuristic_policy
+from foveate.names import ASSIGNMENTS, HEURISTICS, Objective, ProtocolName
+from foveate.planning.named import assigned_in, heuristic_in
 from foveate.planning.shooting import ONLINE, PlanSettings
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import SUITE_SEED
@@ -133,7 +133,7 @@ class Verdict:
 def judge_run(run: Path, quiet: bool = False) -> Verdict:
     """Judge the best policy of a run folder, and write its verdict.json."""
     experiment, policy, _ = load_run(run)
-    with Bar("verdict", 1 + len(HEURISTICS), "methods", quiet) as bar:
+    with Bar("verdict", 1 + len(heuristics(experiment)), "methods", quiet) as bar:
         verdict = judge(experiment, policy, bar.update)
     write_verdict(run, verdict)
     return verdict
@@ -163,10 +163,12 @@ def judged_episodes(experiment: Experiment) -> int:
 
 
 def heuristics(experiment: Experiment) -> dict[str, Policy]:
-    """Every heuristic, for the robot of an experiment."""
+    """Every heuristic, for the robot of an experiment; in a team also with targets assigned."""
     scenario = experiment.scenario
-    problem, depth_m = scenario.problem(), float(scenario.view.depth_m)
-    return {name: heuristic_policy(name, problem, depth_m) for name in HEURISTICS}
+    found = {name: heuristic_in(scenario, name) for name in HEURISTICS}
+    if scenario.problem().team is None:
+        return found
+    return found | {f"uncertain+{rule}": assigned_in(scenario, found["uncertain"], rule) for rule in ASSIGNMENTS}
 
 
 def planner_size(experiment: Experiment) -> tuple[int, PlanSettings]:
@@ -181,6 +183,8 @@ def planned_scores(
     given: HeldOut, settings: PlanSettings, episodes: int, report: Callable[[int], None] = lambda done: None
 ) -> Scores | str:
     """The scores of `planner_scores`, or the reason why it cannot plan in this scenario."""
+    if given.problem.team is not None:
+        return "planners decide for single robots"
     try:
         return planner_scores(given, settings, episodes, report)
     except InputError as error:

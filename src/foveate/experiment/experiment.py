@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.io.settings import Settings
+from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import OBJECTIVES
 from foveate.policies.attention import AttentionSettings
@@ -40,6 +41,16 @@ class Experiment(Settings):
     def begins_with(self) -> str | None:
         """The preset or run folder whose weights a training begins with; None for random ones."""
         return self.policy.begin_with if isinstance(self.policy, PointerSettings) else None
+
+    def require_learner(self) -> None:
+        """Raise InputError unless the learner and its objective are for targets with ids, or without, as here."""
+        has_ids, objective = self.scenario.detections is None, self.training.objective
+        is_able = has_ids or isinstance(self.training, ActorCriticSettings)
+        name = getattr(self.training, "algorithm", "policy-gradient")
+        right = "expected 'actor-critic' with scenario.detections: no other learner knows targets without ids"
+        require(is_able, "training.algorithm", name, right)
+        right = "expected one for targets with ids" if has_ids else "expected 'gospa' with scenario.detections"
+        require((objective == "gospa") != has_ids, "training.objective", objective, right)
 
     def new_policy(self, key: Key, problem: Problem | None = None) -> Policy:
         """The policy with random weights; `problem` is that of the scenario, which cannot be made under a trace."""

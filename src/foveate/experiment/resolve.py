@@ -6,7 +6,7 @@ The package has a run folder for each preset, made by experiments/trained_preset
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -22,8 +22,8 @@ from foveate.io.progress import logger
 from foveate.io.toml import load_toml
 from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.names import METHODS, InitialError, Objective
-from foveate.planning.named import heuristic_policy
+from foveate.names import ASSIGNMENTS, METHODS, Assignment, InitialError, Objective
+from foveate.planning.named import assigned_in, heuristic_in
 from foveate.policies.pointer import PointerPolicy, PointerSettings
 from foveate.policies.tokens import token_size
 from foveate.scenario.scenario import Scenario
@@ -67,14 +67,10 @@ class Subject:
 
     def policy(self, method: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
         """Return the subject's own policy for "policy", else a heuristic; `lawnmower` and `post` take the box [m]."""
-        if method == "policy":
-            return self.network()
-        return heuristic_in(self.experiment.scenario, method, box_world)
-
-
-def heuristic_in(scenario: Scenario, name: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
-    """Make a heuristic for a scenario, with the box [m] of `lawnmower` and `post`. Raises as `heuristic_policy`."""
-    return heuristic_policy(name, scenario.problem(), float(scenario.view.depth_m), box_world)
+        name, _, rule = method.partition("+")
+        scenario = self.experiment.scenario
+        policy = self.network() if name == "policy" else heuristic_in(scenario, name, box_world)
+        return policy if rule == "" else assigned_in(scenario, policy, cast(Assignment, rule))
 
 
 def run_folder(run: Name) -> Path:
@@ -216,11 +212,17 @@ def with_initial_error(experiment: Experiment, initial_error: InitialError | Non
 
 
 def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
-    """Return methods' names, each once, with `all` resolved. Raises InputError for an unknown name."""
+    """Return methods' names, each once, with `all` resolved. Raises InputError for an unknown name.
+
+    In a team NAME+RULE assigns targets to robots (see `policies.assigned`).
+    """
     names = [method] if isinstance(method, str) else list(method)
-    for name in names:
-        if name not in (*METHODS, "all"):
-            raise InputError(f"method {name!r}: expected one of {', '.join(METHODS)}, or all")
+    for each in names:
+        name, plus, rule = each.partition("+")
+        if name not in (*METHODS, "all") or (plus and (rule not in ASSIGNMENTS or name == "all")):
+            rules = ", ".join(ASSIGNMENTS)
+            right = f"expected one of {', '.join(METHODS)}, in a team also NAME+RULE with {rules}, or all"
+            raise InputError(f"method {each!r}: {right}")
     return METHODS if "all" in names else tuple(dict.fromkeys(names))
 
 

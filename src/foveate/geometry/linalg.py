@@ -106,6 +106,36 @@ def cholesky_spd(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
     return jnp.stack(rows, axis=-2)
 
 
+def inverse_upper(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """M^-1 of a small upper triangular matrix; what lies below the diagonal is not read."""
+    size, zero = len(matrix), jnp.zeros_like(matrix[0, 0])
+    rows: list[list] = [[zero] * size for _ in range(size)]
+    for i in reversed(range(size)):
+        rows[i][i] = 1.0 / matrix[i, i]
+        for j in range(i + 1, size):
+            rows[i][j] = -sum(matrix[i, k] * rows[k][j] for k in range(i + 1, j + 1)) * rows[i][i]
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def root_semidefinite(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The lower triangular R with R R^T = M, for a small symmetric positive *semi*definite M.
+
+    A pivot that is rounding alone is zero, and so is its column. There is no derivative where M is singular.
+    """
+    size, zero = len(matrix), jnp.zeros_like(matrix[0, 0])
+    rounding = 4.0 * size * jnp.finfo(matrix.dtype).eps
+    rows: list[list] = [[zero] * size for _ in range(size)]
+    for j in range(size):
+        pivot = matrix[j, j] - sum(rows[j][k] ** 2 for k in range(j))
+        is_zero = pivot <= rounding * matrix[j, j]
+        root = jnp.sqrt(jnp.where(is_zero, 1.0, pivot))
+        rows[j][j] = jnp.where(is_zero, 0.0, root)
+        for i in range(j + 1, size):
+            rest = matrix[i, j] - sum(rows[i][k] * rows[j][k] for k in range(j))
+            rows[i][j] = jnp.where(is_zero, 0.0, rest / root)
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
 def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Array, "*d n k"]:
     """a b, the batch axes broadcast; over few terms (m) as an elementwise sum of outer products.
 

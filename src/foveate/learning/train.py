@@ -24,9 +24,10 @@ def train(
 ) -> Outcome:
     """Train a policy into the run folder `out` by the experiment's own learner; `report` is called at every validation.
 
-    Raises InputError if `out` already holds a run (or, resumed, another one), if another process trains into it, or to
-    resume PPO.
+    Raises InputError if `out` already holds a run (or, resumed, another one), if another process trains into it, to
+    resume PPO, or for an objective that the scenario does not have.
     """
+    experiment.require_learner()
     by_ppo = isinstance(experiment.training, PPOSettings)
     if resume and by_ppo:
         raise InputError(f"{out}: PPO cannot be resumed: train again")

@@ -1,6 +1,7 @@
 """The Kalman filter of one target in information form (paper, section 2), batched over targets by `vmap`."""
 
 import math
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
+from foveate.geometry.linalg import inverse_spd, inverse_upper, multiply, root_semidefinite, symmetrise
 from foveate.models.target import LinearGaussian
 from foveate.types import Information, Mean
 
@@ -22,34 +23,54 @@ class Belief(eqx.Module):
 
 def predict_information(information: Information, motion: LinearGaussian) -> Information:
     """P' = (A Y^-1 A^T + W)^-1; exact for singular A too, as long as A Y^-1 A^T + W is not singular."""
-    return _predict(information, motion.A, motion.W)
+    return _predict(motion.is_reversible, information, motion.A, motion.W)
 
 
-@jax.custom_jvp
-def _predict(information: Information, A: Float[Array, "n_y n_y"], W: Float[Array, "n_y n_y"]) -> Information:
-    return _predicted(information, A, W)[0]
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _predict(
+    is_reversible: bool, information: Information, A: Float[Array, "n_y n_y"], W: Float[Array, "n_y n_y"]
+) -> Information:
+    return (_predict_by_reversal if is_reversible else _predict_by_inverses)(information, A, W)[0]
 
 
-def _predicted(information, A, W):
-    """P' and A Y^-1."""
+def _predict_by_inverses(information, A, W):
+    """P' and G = P' A Y^-1."""
     product = multiply(A, inverse_spd(information))
-    return symmetrise(inverse_spd(symmetrise(multiply(product, A.T) + W))), product
+    prediction = symmetrise(inverse_spd(symmetrise(multiply(product, A.T) + W)))
+    return prediction, multiply(prediction, product)
 
 
-def _predict_jvp(primals, tangents):
-    """dP' = G dY G^T with G = P' A Y^-1, and -P' (2 sym(dA Y^-1 A^T) + dW) P' where the motion is differentiated too.
+def _predict_by_reversal(information, A, W):
+    """P' = M - N (I + R^T M R)^-1 N^T with M = A^-T Y A^-1, N = M R and R R^T = W (Woodbury), and G = P' A Y^-1.
+
+    No inverse of the information: of a target that was measured once, and whose velocity is unknown, that has lost most
+    digits of float32, and the inverse of the covariance loses them again at every step.
+    """
+    n_y, inverse_A, root_W = len(A), inverse_upper(A), root_semidefinite(W)
+    # M, N and R^T M R as blocks of one congruence: two large products for all beliefs, where small ones, which XLA
+    # fuses and so repeats for every element that reads them, take up to ten times as long.
+    both = jnp.concatenate([inverse_A, multiply(inverse_A, root_W)], axis=1)
+    half = jnp.matmul(information, both, precision="highest")
+    blocks = jnp.matmul(half.T, both, precision="highest")
+    moved, noisy, spread = blocks[:n_y, :n_y], blocks[:n_y, n_y:], blocks[n_y:, n_y:]
+    gain = multiply(noisy, inverse_spd(symmetrise(spread) + jnp.eye(n_y, dtype=A.dtype)))
+    prediction = symmetrise(moved - multiply(gain, noisy.T))
+    return prediction, inverse_A.T - multiply(gain, multiply(inverse_A, root_W).T)
+
+
+def _predict_jvp(is_reversible, primals, tangents):
+    """dP' = G dY G^T with G = P' A Y^-1, and -(2 sym(P' dA G^T) + P' dW P') where the motion is differentiated too.
 
     Two products where the chain rule through both inverses needs six.
     """
-    prediction, product = _predicted(*primals)
+    prediction, gain = (_predict_by_reversal if is_reversible else _predict_by_inverses)(*primals)
     d_information, d_A, d_W = tangents
     change = jnp.zeros_like(prediction)
     if not isinstance(d_information, SymbolicZero):
-        gain = multiply(prediction, product)
         change += multiply(jax.lax.optimization_barrier(multiply(gain, d_information)), gain.T)
     if not isinstance(d_A, SymbolicZero):
-        moved = multiply(d_A, product.T)
-        change -= multiply(multiply(prediction, moved + moved.T), prediction)
+        moved = multiply(multiply(prediction, d_A), gain.T)
+        change -= moved + moved.T
     if not isinstance(d_W, SymbolicZero):
         change -= multiply(multiply(prediction, d_W), prediction)
     return prediction, symmetrise(change)

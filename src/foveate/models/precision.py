@@ -7,10 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from foveate.io.progress import logger
+from foveate.models.polar import jacobian, noise
 from foveate.models.problem import Problem
 
 TOLERATED_NAT = 0.05
 """Error of a log det that is said nothing about: a twentieth of what tells policies apart."""
+BEYOND_REPAIR = 100.0
+"""Condition times resolution above which a matrix has no digit of its smallest eigenvalue."""
 Matrix = Float[np.ndarray, "n_y n_y"]
 
 
@@ -33,9 +36,15 @@ def rounds_alike(problem: Problem) -> bool:
     That is what XLA's older emitters do (`foveate.io.jax_settings.quick_compilation`): each element of a matrix product
     computes the inverse that it reads anew. It is harmless for positions. A target that was measured once and whose
     velocity is unknown has pivots of three digits in float32; with several versions of them its information becomes
-    indefinite.
+    indefinite, unless its prediction needs no inverse of it.
     """
-    return problem.motion.state_size == problem.agent.space.dimension
+    motion = problem.motion
+    return motion.state_size == motion.dimension or motion.is_reversible
+
+
+def suits_quick_compilation(problem: Problem) -> bool:
+    """True for a problem in the plane whose filter `rounds_alike`; in space the programs would run for longer."""
+    return problem.agent.space.dimension == 2 and rounds_alike(problem)
 
 
 def warn_of_rounding(problem: Problem, steps: int) -> None:
@@ -56,22 +65,37 @@ def rounding_error(problem: Problem, steps: int) -> tuple[float, int]:
     It is the resolution of the numbers times the condition of the predicted correlations (scales of the axes cost no
     digits), after a detection following 1, 2, 4, .. `steps` steps unseen, each rounded up to whole periods of a
     schedule. Only the order of magnitude is meant: in simulated episodes errors are a third to three times as large.
+    For a reversible motion, whose prediction needs no inverse, the root of the condition takes its place, an upper
+    bound; beyond BEYOND_REPAIR even the matrix itself has lost its smallest eigenvalue.
 
     Returns:
         Error [nat], infinite where the condition is beyond float64, and the number of steps unseen.
     """
-    period, H = problem.period, np.asarray(problem.sensor.H, float)
+    period = problem.period
     motions = [_Motion(*map(np.asarray, each)) for each in zip(*_floats(period.motion.A, period.motion.W), strict=True)]
-    noises = _floats(period.V)[0]
+    H, noises = _measured(problem, *_floats(period.V))
     first = np.linalg.inv(np.asarray(problem.prior_information, float))
     resolution = float(np.finfo(np.asarray(problem.motion.A).dtype).eps)
     worst = 0.0, 0
     for unseen, covariance in _unseen(first, motions, steps):
         seen = _detected(covariance, H, noises[unseen % len(noises) - 1])
         predicted = motions[unseen % len(motions)].of(seen)
-        error = resolution * max(_condition(covariance), _condition(predicted))
+        condition = max(_condition(covariance), _condition(predicted))
+        error = resolution * condition
+        if problem.motion.is_reversible:
+            error = resolution * condition**0.5 if error < BEYOND_REPAIR else np.inf
         worst = max(worst, (error, unseen))
     return worst
+
+
+def _measured(problem: Problem, V: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """H, and V of each step of a period: of a sensor of ranges and angles, for a target straight ahead in mid-view."""
+    polar, depth_m = problem.sensor.polar, float(problem.sensor.view.extent.ahead_m)
+    if polar is None:
+        return np.asarray(problem.sensor.H, float), V
+    point_body = np.eye(problem.motion.dimension)[0] * (0.5 * depth_m if np.isfinite(depth_m) else 1.0)
+    H = jacobian(np, polar, point_body) @ np.asarray(problem.motion.Z, float)
+    return H, np.array([noise(np, polar, each, point_body) for each in V])
 
 
 def _floats(*arrays: object) -> tuple[np.ndarray, ...]:

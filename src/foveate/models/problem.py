@@ -11,10 +11,12 @@ from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
+from foveate.models.detections.records import DetectionModel
 from foveate.models.obstacles import Obstacles
 from foveate.models.region import Region, share_clear
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
+from foveate.models.team import Team
 from foveate.types import Action, Count, Flag, Information, Point, Pose, Scalar, Twist
 
 
@@ -33,7 +35,9 @@ class Problem(eqx.Module):
     """Agent, sensor, motion of the targets, control period tau [s] and first information matrix.
 
     A `schedule` overrides them from step to step. The `region` has the borders of the world, and `keep_off_m` is the
-    distance that the agent keeps from targets [m], if any; `obstacles` has the maps, one of them chosen.
+    distance that the agent keeps from targets [m], if any; `obstacles` has the maps, one of them chosen. With
+    `detections` measurements do not say of which target they are.
+    A `team` has more robots like the agent, and their radio.
     """
 
     agent: Agent
@@ -45,6 +49,8 @@ class Problem(eqx.Module):
     region: Region | None = None
     keep_off_m: Scalar | None = None
     obstacles: Obstacles | None = None
+    detections: DetectionModel | None = None
+    team: Team | None = None
 
     def move(
         self, pose: Pose, action: Action, positions_world: Float[Array, "n d"] | None, present: Bool[Array, " n"]

@@ -7,18 +7,34 @@ from jaxtyping import Array, Float
 
 from foveate.types import Mean, Point
 
+LARGEST = 9
+"""Longest state whose prediction by reversal is used: it is written out in elementwise operations."""
+MIN_DECAY = 0.3
+"""Smallest number on the diagonal of a triangular A whose inverse still costs no digits: what a step leaves of a
+velocity."""
+
 
 class LinearGaussian(eqx.Module):
     """Linear-Gaussian motion of one target.
 
     W is the covariance of the process noise per step, Z gives the position [m] of a state. Where n_y is a multiple of
-    d, the state is read as d-vectors (position, velocity, ...) that turn with the frame.
+    d, the state is read as d-vectors (position, velocity, ...) that turn with the frame. `is_reversible`, known before
+    compilation, says that A is upper triangular and that its inverse costs no digits (`models.belief`).
     """
 
     A: Float[Array, "n_y n_y"]
     B: Float[Array, "n_y m_y"]
     W: Float[Array, "n_y n_y"]
     Z: Float[Array, "d n_y"]
+    is_reversible: bool = eqx.field(static=True, default=False)
+
+    @classmethod
+    def of(cls, A: np.ndarray, B: np.ndarray, W: np.ndarray, Z: np.ndarray) -> "LinearGaussian":
+        """The motion of these matrices, which says by their values whether it is reversible."""
+        A, size = np.asarray(A), len(A)
+        # Positions alone lose no digits by two inverses, which for them cost less.
+        reversible = len(Z) < size <= LARGEST and not np.tril(A, -1).any() and np.diag(A).min() > MIN_DECAY
+        return cls(*(jnp.asarray(part, float) for part in (A, B, W, Z)), is_reversible=bool(reversible))
 
     @property
     def dimension(self) -> int:

@@ -3,11 +3,14 @@
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
+from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.names import HEURISTICS
+from foveate.names import HEURISTICS, Assignment
 from foveate.planning.window import DynamicWindow
+from foveate.policies.assigned import Assigned
 from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
 from foveate.policies.rules import Post, Price
+from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Policy
 
 
@@ -33,3 +36,15 @@ def heuristic_policy(
     if name not in policies:
         raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
     return policies[name]
+
+
+def heuristic_in(scenario: Scenario, name: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
+    """Make a heuristic for a scenario, with the box [m] of `lawnmower` and `post`. Raises as `heuristic_policy`."""
+    return heuristic_policy(name, scenario.problem(), float(scenario.view.depth_m), box_world)
+
+
+def assigned_in(scenario: Scenario, policy: Policy, rule: Assignment) -> Policy:
+    """The policy, shown the targets of its robot only, by a rule. Raises InputError for a single robot."""
+    problem = scenario.problem()
+    require(problem.team is not None, "method", f"+{rule}", "expected none: the scenario has no team")
+    return Assigned(policy=policy, problem=problem, rule=rule)

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.sight import fan
-from foveate.models.robot import Robot
+from foveate.models.robot import Robot, Surroundings
 from foveate.policies.detour import unfold
-from foveate.simulation.records import Observation, Surroundings
+from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
 RANGE_DEPTHS = 2.0

@@ -27,16 +27,17 @@ MAX_SLOTS, MAX_CELLS = 1000, 1_000_000
 class BirthSettings(Settings):
     """Targets that appear: Poisson, `rate` a step in the mean, uniform in the box from `low_m` to `high_m`.
 
-    Without a box they appear anywhere in that of the detections.
+    Without a box they appear anywhere in that of the detections. `first` of them are there before the first step.
     """
 
     rate: float
+    first: int = 0
     low_m: tuple[float, ...] | None = None
     high_m: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(0, self, "rate")
+        at_least(0, self, "rate", "first")
         low, high = self.low_m, self.high_m
         require((low is None) == (high is None), "high_m", high, "expected both corners of the box, or none")
         if low is not None and high is not None:
@@ -45,7 +46,7 @@ class BirthSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class DetectionSettings(Settings):
-    """Detections that do not say of which target they are, of targets unknown in number.
+    """Detections that do not say of which target they are, of targets unknown in number; without the table they do.
 
     The filter is a Poisson multi-Bernoulli one: tracks with a probability of existence, and a grid of the intensity of
     targets that were never detected, on the box from `low_m` to `high_m`. Targets beyond the box count in the cells at
@@ -78,6 +79,13 @@ class DetectionSettings(Settings):
     """Probability of existence at which a track returns to the intensity of undetected targets."""
     gate: float = GATE
     """Probability that the gate of a track holds its own detection."""
+    tell: float = 0.1
+    """Probability of existence above which a policy is told of a track."""
+    known: bool = True
+    """Every target of a scene begins as a track with a first belief; or else the filter expects as many targets as
+    scenes have in the mean, anywhere in their box."""
+    cutoff_m: float | None = None
+    """Distance c of GOSPA: a target without an estimate nearer than this is missed. Left out: half the view's depth."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,6 +99,8 @@ class DetectionSettings(Settings):
         for name in ("tracks", "detections"):
             value = getattr(self, name)
             require(1 <= value <= MAX_SLOTS, name, value, f"expected 1 to {MAX_SLOTS}")
+        require(0 <= self.tell < 1, "tell", self.tell, "expected a probability below 1")
+        require(self.cutoff_m is None or self.cutoff_m > 0, "cutoff_m", self.cutoff_m, "expected > 0")
         require(0 < self.confirm < 1, "confirm", self.confirm, "expected between 0 and 1")
         require(
             0 < self.recycle < self.confirm, "recycle", self.recycle, f"expected between 0 and confirm {self.confirm}"
@@ -136,13 +146,10 @@ class DetectionSettings(Settings):
         require(len(self.low_m) == d, "detections.low_m", self.low_m, f"expected {d} numbers, one per axis")
         grid = Grid(jnp.asarray(self.low_m, float), jnp.asarray(self.high_m, float), self.shape)
         volume, points = (1.0, np.zeros((1, d))) if self.clutter == 0 else _filled(view)
-        births = jnp.zeros(self.shape)
+        births, first = jnp.zeros(self.shape), self.undetected * grid.overlap(grid.low, grid.high)
         for birth in self.births:
-            box = (
-                self.low_m if birth.low_m is None else birth.low_m,
-                self.high_m if birth.high_m is None else birth.high_m,
-            )
-            births += birth.rate * grid.overlap(*(jnp.asarray(corner, float) for corner in box))
+            share = grid.overlap(*(jnp.asarray(corner, float) for corner in self.box(birth)))
+            births, first = births + birth.rate * share, first + birth.first * share
         return DetectionModel(
             probability=jnp.asarray(self.probability, float),
             half_range_m=None if self.half_range_m is None else jnp.asarray(self.half_range_m, float),
@@ -151,14 +158,22 @@ class DetectionSettings(Settings):
             survival=jnp.asarray(self.survival, float),
             grid=grid,
             births=births,
-            first=self.undetected * grid.overlap(grid.low, grid.high),
+            first=first,
             clutter_points_body=jnp.asarray(points, float),
             gate=gate_limit(self.gate, len(problem.sensor.H)),
             recycle=self.recycle,
             confirm=self.confirm,
             tracks=self.tracks,
             detections=self.detections,
+            tell=self.tell,
+            known=self.known,
         )
+
+    def box(self, birth: BirthSettings) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Both corners of the box of births [m]."""
+        if birth.low_m is None or birth.high_m is None:
+            return self.low_m, self.high_m
+        return birth.low_m, birth.high_m
 
 
 def _check_box(low: tuple[float, ...], high: tuple[float, ...]) -> None:

@@ -1,7 +1,7 @@
 """The scenario of an experiment, the `[scenario]` table of a configuration file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +16,17 @@ from foveate.models.problem import Problem, Schedule
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.scenario.agent import AgentSettings, DifferentialDrive
+from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.field_of_view import TriangleView, ViewSettings
 from foveate.scenario.origin import OriginSettings
+from foveate.scenario.population import detection_model
 from foveate.scenario.random_obstacles import ObstacleSettings
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 from foveate.scenario.starts import start_box
 from foveate.scenario.target import DriftTarget, TargetSettings, require_predictable
+from foveate.scenario.team import TeamSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +48,8 @@ class Scenario(Settings):
     region: RegionSettings | None = None
     origin: OriginSettings | None = None
     obstacles: ObstacleSettings | None = None
+    detections: DetectionSettings | None = None
+    team: TeamSettings | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,6 +66,7 @@ class Scenario(Settings):
         problem = self.problem()
         self._check_region(problem)
         self._check_obstacles(problem)
+        self._check_team()
         for W in self.schedule.W:
             for tau in self.schedule.tau_s or (self.tau_s,):
                 require_predictable(self.target.motion(d, tau)[0], np.array(W), "target.A, schedule.W")
@@ -120,6 +126,18 @@ class Scenario(Settings):
         right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
         require(not self.scenes.birth_and_death, "obstacles.targets", "around", right)
 
+    def _check_team(self) -> None:
+        """Raise InputError unless the beliefs of a team can be fused."""
+        if self.team is None or self.team.agents == 1:
+            return
+        side, d = self.team.half_side_m, self.dimension
+        require(side is None or len(side) == d, "team.half_side_m", side, f"expected {d} numbers")
+        right = "expected none for a team, whose messages hold measurements only"
+        require(self.sensor.missed_detections != "used", "sensor.missed_detections", "used", right)
+        require(self.detections is None, "detections", "[..]", "expected none for a team, which knows its targets")
+        right = "expected false for a team, whose members know all targets from the start"
+        require(not self.scenes.birth_and_death, "scenes.birth_and_death", True, right)
+
     def _obstacles(self) -> Obstacles | None:
         """Obstacles as arrays, on grids that hold the starts of agent and targets."""
         if self.obstacles is None:
@@ -154,7 +172,7 @@ class Scenario(Settings):
             uses_missed_detections=self.sensor.missed_detections == "used",
             polar=self.sensor.polar,
         )
-        return Problem(
+        problem = Problem(
             agent=self.agent.agent(),
             sensor=sensor,
             motion=self._motion(self.tau_s),
@@ -164,11 +182,15 @@ class Scenario(Settings):
             region=None if self.region is None else self.region.region(),
             keep_off_m=None if self.keep_off_m is None else _array(self.keep_off_m),
             obstacles=self._obstacles(),
+            team=None if self.team is None else self.team.team(),
         )
+        if self.detections is None:
+            return problem
+        return replace(problem, detections=detection_model(self.detections, problem, self.scenes))
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)
-        return LinearGaussian(A=_array(A), B=_array(B), W=_array(own if W is None else W), Z=_array(Z))
+        return LinearGaussian.of(A, B, own if W is None else np.asarray(W, float), Z)
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
         """Values of each step of a period; an empty list repeats the constant value."""
@@ -176,7 +198,9 @@ class Scenario(Settings):
         if steps == 0:
             return None
         taus = schedule.tau_s or (self.tau_s,) * steps
-        motions = map(self._motion, taus, schedule.W or (None,) * steps)
+        motions = [self._motion(*each) for each in zip(taus, schedule.W or (None,) * steps, strict=True)]
+        reversible = all(motion.is_reversible for motion in motions)
+        motions = [replace(motion, is_reversible=reversible) for motion in motions]
         motion = jax.tree.map(lambda *parts: jnp.stack(parts), *motions)
         return Schedule(tau=_array(taus), motion=motion, V=_array(schedule.V or [V] * steps))
 

@@ -15,6 +15,7 @@ from foveate.io.files import content_digest, read_document, write_document
 from foveate.io.settings import Settings
 from foveate.io.validate import at_least, require
 from foveate.names import FirstVelocity, InitialError
+from foveate.scenario.rows import pose_of, poses_of, table_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,15 +125,14 @@ class SceneSettings(Settings):
 
 VERSION = 1
 MAX_HORIZON = 100_000
-MAX_LENGTH = 1e9
-"""Largest length [m]: beyond it no precision has digits left for the agent's view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """A scene as in a scenes file: lengths in metres, drift in m/s, a row per target.
 
-    Without `drift` targets have none; a `horizon` of 0 steps is that of the scenario; `map` is the number of its map.
+    Without `drift` targets have none; a `horizon` of 0 steps is that of the scenario; `map` is the number of its map;
+    `others` are the poses of the other robots of a team.
     """
 
     id: str
@@ -141,10 +141,11 @@ class Scene:
     drift: tuple[tuple[float, ...], ...] = ()
     horizon: int = 0
     map: int = 0
+    others: tuple[tuple[float, ...], ...] = ()
 
     def record(self) -> dict[str, Any]:
-        """All fields as plain values, without the first map's number, as without obstacles."""
-        return {name: value for name, value in asdict(self).items() if name != "map" or value}
+        """All fields as plain values, without the first map's number, as without obstacles, and without a team."""
+        return {name: value for name, value in asdict(self).items() if name not in ("map", "others") or value}
 
     @property
     def motion(self) -> str:
@@ -209,7 +210,7 @@ def _scenes(rows: Any, where: str, space: Space, settings: SceneSettings) -> lis
 def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene:
     if not isinstance(row, dict):
         raise InputError(f"{where}: expected an object with id, agent, targets")
-    names = ("id", "agent", "targets", "drift", "horizon", "map")
+    names = ("id", "agent", "targets", "drift", "horizon", "map", "others")
     if missing := [name for name in names[:3] if name not in row]:
         raise InputError(f"{where}: no {missing[0]!r}: expected id, agent and targets")
     if unknown := sorted(set(row) - set(names)):
@@ -217,15 +218,12 @@ def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene
     is_text = isinstance(row["id"], str) and row["id"] != "" and row["id"] == row["id"].encode(errors="ignore").decode()
     require(is_text, f"{where}: id", row["id"], "expected a non-empty text of whole characters")
     where = f"{where} ({row['id']!r})"
-    agent = _row(row["agent"], f"{where}: agent", None)
-    try:
-        space.from_numbers(agent)
-    except InputError as error:
-        raise InputError(f"{where}: agent = {list(agent)}: {error}") from None
-    targets = _rows(row["targets"], f"{where}: targets", space.dimension)
+    agent = pose_of(row["agent"], f"{where}: agent", space)
+    others = poses_of(row.get("others", []), f"{where}: others", space)
+    targets = table_of(row["targets"], f"{where}: targets", space.dimension)
     drift = ((0.0,) * space.dimension,) * len(targets)
     if row.get("drift") is not None:
-        drift = _rows(row["drift"], f"{where}: drift", space.dimension)
+        drift = table_of(row["drift"], f"{where}: drift", space.dimension)
     if len(drift) != len(targets):
         raise InputError(f"{where}: drift has {len(drift)} rows: expected {len(targets)}, one per target")
     horizon = row.get("horizon", settings.horizon(len(targets)))
@@ -233,18 +231,4 @@ def _scene(row: Any, where: str, space: Space, settings: SceneSettings) -> Scene
     require(fits, f"{where}: horizon", horizon, f"expected a whole number from 1 to {MAX_HORIZON}")
     number = row.get("map", 0)
     require(type(number) is int and number >= 0, f"{where}: map", number, "expected a whole number >= 0")
-    return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon, map=number)
-
-
-def _rows(value: Any, where: str, width: int) -> tuple[tuple[float, ...], ...]:
-    require(isinstance(value, list), where, value, f"expected a list of rows of {width} numbers")
-    return tuple(_row(row, f"{where}[{i}]", width) for i, row in enumerate(value))
-
-
-def _row(value: Any, where: str, width: int | None) -> tuple[float, ...]:
-    fits = isinstance(value, list) and (width is None or len(value) == width)
-    numbers = fits and all(type(x) in (int, float) for x in value)
-    require(numbers, where, value, f"expected {'' if width is None else f'{width} '}numbers in a list")
-    in_range = all(abs(x) <= MAX_LENGTH for x in value)
-    require(in_range, where, value, f"expected finite numbers up to {MAX_LENGTH:g}")
-    return tuple(float(x) for x in value)
+    return Scene(id=row["id"], agent=agent, targets=targets, drift=drift, horizon=horizon, map=number, others=others)

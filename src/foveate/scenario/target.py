@@ -166,8 +166,8 @@ class AccelerationTarget(_DiagonalPrior):
     """Nearly constant acceleration: y = (position, velocity, acceleration), jerk is white noise.
 
     Its spectral density is `jerk_m2_s5` [m^2/s^5] on each axis, or the matrix `Q`. A target's drift is its first
-    velocity; the known input is a jerk [m/s^3]. In float32 beliefs lose digits after 200 steps unseen, and are not
-    finite after 1,000; set JAX_ENABLE_X64=1 for such episodes.
+    velocity; the known input is a jerk [m/s^3]. In float32 beliefs keep their digits for 1,000 steps unseen; set
+    JAX_ENABLE_X64=1 for longer episodes.
     """
 
     kind: Literal["constant_acceleration"] = tag("constant_acceleration")

@@ -7,6 +7,7 @@ import jax
 from jaxtyping import Array, Bool, Float
 
 from foveate.models.belief import Belief
+from foveate.models.detections.records import Scan
 from foveate.models.problem import Problem
 from foveate.simulation.records import Instant, Protocol, State
 from foveate.types import Action, Pose
@@ -29,7 +30,8 @@ class Draft(NamedTuple):
     `state` begins as the predicted one and ends as that after the update. `covariance` is V as the filter believes it,
     at the predicted means; `measured` marks the targets whose measurement is taken; `weight` is the share of a
     measurement's information that each level of the protocol counts; `restart` marks the beliefs to be replaced, and
-    holds new ones; `gain` is the information of a measurement where it is not that of `covariance` alone.
+    holds new ones; `gain` is the information of a measurement where it is not that of `covariance` alone. `scan` has
+    the detections where they are without ids; `measured` then marks the targets of the truth.
     """
 
     predicted: State
@@ -42,6 +44,7 @@ class Draft(NamedTuple):
     sensed: Sensed | None = None
     restart: tuple[Bool[Array, " n"], Belief] | None = None
     gain: Float[Array, "n n_y n_y"] | None = None
+    scan: Scan | None = None
 
 
 Stage = Callable[[Problem, Protocol, Draft], Draft]

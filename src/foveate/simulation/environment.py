@@ -42,6 +42,9 @@ class Environment(eqx.Module):
     def __check_init__(self) -> None:
         if not self.noise and (not self.protocol.levels or self.protocol.at_truth):
             raise InputError("noise = False: expected True with a protocol that asks where targets really are")
+        if self.problem.team is not None:
+            agents = self.problem.team.agents
+            raise InputError(f"scenario.team.agents = {agents}: expected 1: this environment has a single robot")
 
     # By identity: arrays have no hash, by which `jax.jit(environment.step)` knows a function.
     __hash__ = object.__hash__

@@ -4,46 +4,34 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.drawn import Drawn, Noise
+from foveate.simulation.population import joined, noise_shapes, with_tracks
 from foveate.simulation.records import Arrivals, Episode, Truth
-from foveate.simulation.starts import TRIES, agent_start, starts, target_starts
+from foveate.simulation.starts import TRIES, agent_start, map_of, starts, target_starts
+from foveate.simulation.team.records import TeamDraws
+from foveate.simulation.team.starts import MateNumbers, mate_noise, mate_places, mate_shapes, middles
 from foveate.simulation.truth import true_states
-from foveate.types import Count, Key, Point, Pose
+from foveate.types import Count, Key, Point
 
-
-class Drawn(eqx.Module):
-    """A random scene as arrays, padded to a fixed number of targets."""
-
-    pose: Pose
-    position: Float[Array, "n d"]
-    drift: Float[Array, "n d"]
-    present: Bool[Array, " n"]
-    horizon: Count
-    map_number: Count | None = None
-
-
-class Noise(eqx.Module):
-    """All random numbers of one episode: uniform jitter in [-1, 1], and standard normals for the rest."""
-
-    jitter: Float[Array, "K n d"]
-    process: Float[Array, "K n n_y"]
-    measurement: Float[Array, "K n n_z"]
-    first: Float[Array, "n n_y"]
+POPULATION_STREAM = 11
+"""Folded into the key of an episode's noise: that of detections without ids changes no other number."""
 
 
 def draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Shapes into which the random numbers of one scene are cut; those with a row per target grow with their number."""
     d, most = problem.agent.space.dimension, settings.targets_max
     shapes = (), (), (d,), (most, d), (1 if settings.shared_drift else most, d)
-    return shapes if problem.obstacles is None else (*shapes, (), (TRIES, d), (most, TRIES, d))
+    has_obstacles = problem.obstacles is not None
+    shapes = (*shapes, (), (TRIES, d), (most, TRIES, d)) if has_obstacles else shapes
+    return shapes if problem.team is None else (*shapes, *mate_shapes(problem.team, most, d, has_obstacles))
 
 
 def draw_size(settings: SceneSettings, problem: Problem) -> int:
@@ -65,7 +53,9 @@ def draw(
     is in an obstacle, others are tried.
     """
     d, most = problem.agent.space.dimension, settings.targets_max
-    count, yaw, agent, position, drift, *tries = _cut(uniform, draw_shapes(settings, problem))
+    count, yaw, agent, position, drift, *rest = _cut(uniform, draw_shapes(settings, problem))
+    tries, rest = ([], rest) if problem.obstacles is None else (rest[:3], rest[3:])
+    mates = MateNumbers(*rest) if rest else None
 
     sizes = most + 1 - settings.targets_min
     n = settings.targets_min + jnp.minimum(jnp.floor((count + 1.0) / 2.0 * sizes), sizes - 1).astype(int)
@@ -78,19 +68,24 @@ def draw(
     def agent_at(uniform: Float[Array, " d"]) -> Float[Array, " d"]:
         return problem.inside(agent_start(settings, centre, half_side, uniform, test), problem.bounds_agent)
 
+    others = None if mates is None else mate_places(problem, mates, map_of(problem, tries, test), agent_at, centre)
+
     def targets_at(start: Point, uniform: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        positions = target_starts(settings, start, centre + half_side * uniform, uniform)
+        middle = start if mates is None or others is None else middles(mates, start, others)
+        positions = target_starts(settings, middle, centre + half_side * uniform, uniform)
         return problem.inside(positions, problem.bounds_targets)
 
     number, start, position = starts(problem, agent_at, targets_at, (agent, position), tries, test)
     steps = settings.steps_per_target * n if settings.steps is None else jnp.asarray(settings.steps)
+    upright = problem.agent.space.upright
     return Drawn(
-        pose=problem.agent.space.upright(start, jnp.pi * yaw),
+        pose=upright(start, jnp.pi * yaw),
         position=position,
         map_number=number,
         drift=jnp.broadcast_to(jnp.array(settings.drift_m_s) * drift, (most, d)),
         present=jnp.arange(most) < n,
         horizon=steps,
+        others=None if mates is None or others is None else jax.vmap(upright)(others, jnp.pi * mates.yaw),
     )
 
 
@@ -103,7 +98,16 @@ def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth:
     normal = jax.random.normal(normal_key, (_size(shapes if with_truth else shapes[:1]),))
     first, process, measurement = _cut(jnp.pad(normal, (0, _size(shapes) - len(normal))), shapes)
     jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
-    return Noise(jitter=jitter, process=process, measurement=measurement, first=first)
+    uniform: dict[str, Array] = {}
+    if problem.detections is not None:
+        sizes = noise_shapes(problem, steps, targets)
+        flat = jax.random.uniform(jax.random.fold_in(key, POPULATION_STREAM), (_size(list(sizes.values())),))
+        uniform = dict(zip(sizes, _cut(flat, list(sizes.values())), strict=True))
+    noise = Noise(jitter=jitter, process=process, measurement=measurement, first=first, **uniform)
+    if problem.team is None or not with_truth:
+        return noise
+    mates, radio = mate_noise(problem, key, steps, targets)
+    return replace(noise, mates=mates, radio=radio)
 
 
 def _size(shapes: Sequence[tuple[int, ...]]) -> int:
@@ -129,9 +133,11 @@ def episode_of(
     Targets that are positions only have the known input xi = tau (drift + jitter) [m]; for longer states the drift is
     the initial velocity and the input is zero. A drift that a border has turned is turned in the inputs, too. With
     `birth_and_death` a new target enters at the other side for each that leaves the scene's box: the stationary crowd
-    of a street. Raises InputError without truth in a region whose borders targets keep.
+    of a street. Raises InputError without truth in a region whose borders targets keep, or with detections without ids.
     """
-    motion, d = problem.motion, problem.agent.space.dimension
+    motion, d, others = problem.motion, problem.agent.space.dimension, None
+    if problem.detections is not None:
+        scene, noise, others = joined(problem, scene, noise, with_truth)
     period = problem.period
     entry = jnp.arange(len(noise.jitter)) % len(period.tau)
     first, drift = jax.vmap(motion.state_at)(scene.position), None
@@ -141,12 +147,15 @@ def episode_of(
         inputs = period.tau[entry, None, None] * (scene.drift + settings.jitter_m_s * noise.jitter)
     elif motion.takes_drift:
         first = first.at[:, d : 2 * d].add(scene.drift)
+    if others is not None:
+        first = first.at[-others.first.shape[0] :].set(others.first) if others.first.shape[0] else first
 
     truth = None
     if with_truth:
         roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
         pushes = noise.process @ roots[entry] * float(settings.process_noise)
-        states, inputs = true_states(problem.of_map(scene.map_number), first, drift, inputs, pushes)
+        newcomers = None if others is None else others.newcomers
+        states, inputs = true_states(problem.of_map(scene.map_number), first, drift, inputs, pushes, newcomers)
         truth = Truth(state=states, measurement_noise=noise.measurement)
     elif problem.bounds_targets or problem.turns_targets:
         where = "region" if problem.bounds_targets else "obstacles"
@@ -155,6 +164,10 @@ def episode_of(
     error = first_error(problem, settings, noise.first)
     mean = first_mean(problem, settings, first + error, newcomer=False)
     episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
+    if others is not None:
+        return with_tracks(problem, episode, others)
+    if scene.others is not None and noise.mates is not None and noise.radio is not None:
+        episode = replace(episode, team=TeamDraws(scene.others, noise.mates, noise.radio))
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
+
 from foveate.models.problem import Problem
 from foveate.simulation.draft import Draft, noise_covariance, positions_body
 from foveate.simulation.records import Protocol
@@ -20,12 +22,19 @@ def stop_at_border(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
 
 
 def keep_off_targets(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
-    """End the way before the first target in it, at its true position after the step, or as predicted without truth."""
-    truth, arrivals, present = draft.instant.truth, draft.instant.arrivals, draft.predicted.present
+    """End the way before the first target in it, at its true position after the step, or as predicted without truth.
+
+    In a team also before another robot, at its position before the step.
+    """
+    truth, arrivals, scans = draft.instant.truth, draft.instant.arrivals, draft.instant.scans
     state = draft.predicted.mean if truth is None else truth.state
+    present = draft.predicted.present if scans is None else scans.alive
     if arrivals is not None:
         present = present & arrivals.present
-    positions_world = problem.motion.position(state)
+    positions_world, mates_world = problem.motion.position(state), draft.instant.mates_world
+    if mates_world is not None:
+        positions_world = jnp.concatenate([positions_world, mates_world])
+        present = jnp.concatenate([present, jnp.ones(len(mates_world), bool)])
     return _at(draft, problem.clear_of(draft.predicted.pose, draft.state.pose, positions_world, present))
 
 

@@ -7,8 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from foveate.models.robot import Robot
+from foveate.models.detections.records import Population
+from foveate.models.robot import Robot, Surroundings
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
+from foveate.simulation.team.records import TeamDraws, TeamTrace, TeamView
 from foveate.types import Action, Count, Key, Pose
 
 
@@ -30,13 +32,30 @@ class Arrivals(eqx.Module):
     mean: Float[Array, "*instants n n_y"]
 
 
+class ScanNoise(eqx.Module):
+    """Detections without ids: the targets `alive` at each instant, and the random numbers of each scan.
+
+    A target in view is detected where its uniform number in `detection` is below the probability of detection. False
+    alarms are at `clutter_body` [m] where `is_false`. Detections come in the order of the uniform numbers of targets
+    and false alarms in `order`.
+    """
+
+    alive: Bool[Array, "*instants targets"]
+    detection: Float[Array, "*K targets"]
+    clutter_body: Float[Array, "*K alarms d"]
+    is_false: Bool[Array, "*K alarms"]
+    order: Float[Array, "*K candidates"]
+
+
 class Episode(eqx.Module):
     """Everything that is fixed before the agent's first decision, the same for every method.
 
     Arrays may be padded: `present` marks the real targets and only the first `horizon` steps count. Without `truth` the
     simulation is the noise-free one of training, which never corrects a mean. Positions are in [m], time derivatives in
     [m/s] and [m/s^2]; `mean` is that of the initial beliefs, in the world frame, `inputs` are the known xi_k.
-    `map_number` is that of the episode's map among those of the problem, if it has obstacles.
+    `map_number` is that of the episode's map among those of the problem, if it has obstacles. With `scans`, detections
+    have no ids: means, `present` and inputs are those of the filter's tracks, the truth those of the targets.
+    Of a team, `pose` is that of the first robot, whose noise is that of the truth; `team` has those of the others.
     """
 
     pose: Pose
@@ -47,21 +66,8 @@ class Episode(eqx.Module):
     truth: Truth | None = None
     arrivals: Arrivals | None = None
     map_number: Count | None = None
-
-
-class Surroundings(eqx.Module):
-    """What a robot may be told of obstacles: `ranges` along its rays [m], and what is between it and each target.
-
-    `place_world` [m] is where to drive next, in a straight line, on the way to where a target is believed to be, and
-    `length` [m] that of the whole way; it `is_straight` where the place is the target's. `is_seen` where no obstacle is
-    on the line to it. See `geometry.ways`.
-    """
-
-    ranges: Float[Array, " rays"]
-    place_world: Float[Array, "n d"]
-    length: Float[Array, " n"]
-    is_straight: Bool[Array, " n"]
-    is_seen: Bool[Array, " n"]
+    scans: ScanNoise | None = None
+    team: TeamDraws | None = None
 
 
 class Observation(eqx.Module):
@@ -83,6 +89,12 @@ class Observation(eqx.Module):
     """What a policy may know about its robot; None for policies that ask for nothing."""
     surroundings: Surroundings | None = None
     """What a robot without a map of ours is told of obstacles; None: as the robot's map has it."""
+    existence: Float[Array, " n"] | None = None
+    """Probability that a target exists, of each entry; None where that is certain."""
+    undetected: Float[Array, "*cells"] | None = None
+    """Expected number of targets never detected in each cell of the grid of detections without ids; None with ids."""
+    team: TeamView | None = None
+    """What a robot knows of its team; None of a single robot."""
 
     @property
     def map_number(self) -> Count | None:
@@ -99,6 +111,11 @@ class Policy(eqx.Module):
         del observation
         return ()
 
+    def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
+        """A number for every target that a robot tells its team after a decision; by default 0, which says nothing."""
+        del memory
+        return jnp.zeros_like(observation.mean[:, 0])
+
     @abc.abstractmethod
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The normalised action in [-1, 1] for every actuated axis, and the memory for the next step."""
@@ -109,9 +126,14 @@ class Trace(eqx.Module):
 
     `log_det` is that of the information matrix after step k; `visible` marks the targets actually measured.
     `rejections` counts the measurements in a row that the gate has rejected; None without a gate. `contacts` counts the
-    steps up to k that an obstacle has ended; None without obstacles. Pose and
-    means are in the world frame, positions in [m], `information` in [1/m^2] for positions; `action` is normalised to
-    [-1, 1] on every axis, and `log_det` is in [nat].
+    steps up to k that an obstacle has ended; None without obstacles. Pose and means are in the world frame, positions
+    in [m], `information` in [1/m^2] for positions; `action` is normalised to [-1, 1] on every axis, and `log_det` is in
+    [nat]. With detections without ids the beliefs are tracks, with their `existence`, and `visible` marks the detected
+    targets of the truth; `undetected` is the expected number of targets beside the tracks, and `dropped` counts the
+    detections and tracks up to k for which there was no room.
+
+    Of a team, pose and action are the first robot's, the beliefs are those of one filter that hears every measurement,
+    `visible` marks what any robot has measured, and `contacts` are all robots'; `team` has every robot's own.
     """
 
     pose: Float[Array, "instants ..."]
@@ -119,10 +141,14 @@ class Trace(eqx.Module):
     mean: Float[Array, "instants n n_y"]
     information: Float[Array, "instants n n_y n_y"]
     log_det: Float[Array, "K n"]
-    visible: Bool[Array, "K n"]
+    visible: Bool[Array, "K targets"]
     present: Bool[Array, "instants n"]
     rejections: Int[Array, "K n"] | None = None
     contacts: Int[Array, " K"] | None = None
+    existence: Float[Array, "instants n"] | None = None
+    undetected: Float[Array, " instants"] | None = None
+    dropped: Int[Array, " K"] | None = None
+    team: TeamTrace | None = None
 
 
 def per_target(values: Float[Array, "*b n"], present: Bool[Array, "*b n"]) -> Float[Array, "*b"]:
@@ -175,7 +201,8 @@ class State(eqx.Module):
     """Pose and beliefs after step k; `information` has one matrix per level of the protocol (at least one).
 
     `rejections` is as in `Trace`; `last_look` is None unless missed detections are used; `contacts` counts the steps
-    that an obstacle has ended, None without obstacles.
+    that an obstacle has ended, None without obstacles. With detections without ids `population` is the state of their
+    filter, beliefs and `present` are those of its tracks, and `dropped` counts detections for which there was no room.
     """
 
     step: Count
@@ -186,10 +213,19 @@ class State(eqx.Module):
     rejections: Int[Array, " n"] | None = None
     last_look: LastLook | None = None
     contacts: Count | None = None
+    population: Population | None = None
+    dropped: Count | None = None
 
 
-def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count, robot: Robot) -> Observation:
+def observe(
+    predicted: State,
+    known_input: Float[Array, "n m_y"],
+    horizon: Count,
+    robot: Robot,
+    team: TeamView | None = None,
+) -> Observation:
     """The observation of a predicted state in an episode of `horizon` steps."""
+    population = predicted.population
     return Observation(
         step=predicted.step,
         left=horizon - predicted.step,
@@ -199,6 +235,9 @@ def observe(predicted: State, known_input: Float[Array, "n m_y"], horizon: Count
         present=predicted.present,
         known_input=known_input,
         robot=robot.at(predicted.step),
+        existence=None if population is None else population.tracks.existence,
+        undetected=None if population is None else population.undetected,
+        team=team,
     )
 
 
@@ -208,3 +247,6 @@ class Instant(eqx.Module):
     known_input: Float[Array, "*K n m_y"]
     truth: Truth | None = None
     arrivals: Arrivals | None = None
+    scans: ScanNoise | None = None
+    mates_world: Float[Array, "mates d"] | None = None
+    """Where the other robots of a team are before the step [m]."""

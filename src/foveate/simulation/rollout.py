@@ -12,11 +12,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.simulation import step
 from foveate.simulation.records import Backpropagation, Episode, Observation, Policy, Protocol, State, Trace, observe
+from foveate.simulation.scans import dropped, expected
+from foveate.simulation.team.rollout import rollout as team_rollout
 from foveate.types import Action, Key
 
 FULL_BACKPROPAGATION = Backpropagation()
@@ -107,7 +110,9 @@ def _play(
     record,
     back: Backpropagation = FULL_BACKPROPAGATION,
 ) -> PyTree:
-    """Simulate an episode with a policy."""
+    """Simulate an episode of a single robot with a policy. Raises InputError for a team's."""
+    if episode.team is not None:
+        raise InputError("scenario.team: expected none: only policies that are rolled out have a team")
     problem = problem.of_map(episode.map_number)
     predicted = step.predict(problem, step.start(problem, episode, protocol), episode.inputs[0])
     memory = policy.start(observe(predicted, episode.inputs[0], episode.horizon, Robot.of(problem)))
@@ -124,19 +129,24 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         protocol: Source of information.
         key: Random key of the policy.
     """
+    if episode.team is not None:
+        return team_rollout(problem, policy, episode, protocol, key)
 
     def columns(state: State):
-        return {"pose": state.pose, "mean": state.mean, "information": state.information[-1], "present": state.present}
+        belief = {"mean": state.mean, "information": state.information[-1], "present": state.present}
+        return {"pose": state.pose, **belief, **expected(state)}
 
     def record(outcome: Outcome):
         state = outcome.state
-        return columns(state), outcome.action, outcome.measured, (state.rejections, state.contacts)
+        return columns(state), outcome.action, outcome.measured, (state.rejections, state.contacts, dropped(state))
 
-    states, action, visible, (rejections, contacts) = _play(problem, policy, episode, protocol, key, record)
+    states, action, visible, counts = _play(problem, policy, episode, protocol, key, record)
     first = columns(step.start(problem, episode, protocol))
     states = jax.tree.map(lambda before, after: jnp.concatenate([before[None], after]), first, states)
     log_det = log_det_spd(states["information"][1:])
-    return Trace(**states, action=action, log_det=log_det, visible=visible, rejections=rejections, contacts=contacts)
+    rejections, contacts, no_room = counts
+    counted = {"rejections": rejections, "contacts": contacts, "dropped": no_room}
+    return Trace(**states, action=action, log_det=log_det, visible=visible, **counted)
 
 
 def log_dets(

@@ -38,13 +38,19 @@ def starts(
     if problem.obstacles is None:
         start = agent_at(agent)
         return None, start, targets_at(start, targets)
-    which, agent_tries, target_tries = tries
-    number = problem.obstacles.map_number((which + 1.0) / 2.0, test)
+    _, agent_tries, target_tries = tries
+    number = map_of(problem, tries, test)
+    assert number is not None, "there are obstacles"
     obstacles = problem.obstacles.of_map(number)
     start = obstacles.free_place(jax.vmap(agent_at)(jnp.concatenate([agent[None], agent_tries])), obstacles.radius)
     numbers = jnp.concatenate([targets[:, None], target_tries], axis=1)
     places = jax.vmap(targets_at, (None, 1), 1)(start, numbers)
     return number, start, jax.vmap(obstacles.free_place, (0, None))(places, jnp.zeros_like(obstacles.radius))
+
+
+def map_of(problem: Problem, tries: Sequence[Array], test: bool) -> Count | None:
+    """Number of the map that the first of the `tries` chooses; None without obstacles."""
+    return None if problem.obstacles is None else problem.obstacles.map_number((tries[0] + 1.0) / 2.0, test)
 
 
 def agent_start(
@@ -59,15 +65,15 @@ def agent_start(
 
 
 def target_starts(
-    settings: SceneSettings, agent: Float[Array, " d"], in_box: Float[Array, "n d"], uniform: Float[Array, "n d"]
+    settings: SceneSettings, agent: Float[Array, "*n d"], in_box: Float[Array, "n d"], uniform: Float[Array, "n d"]
 ) -> Float[Array, "n d"]:
-    """Positions in the box, or on the ring about the agent, from numbers uniform in [-1, 1)."""
+    """Positions in the box, or on the ring about the agent (each target's own), from numbers uniform in [-1, 1)."""
     if settings.target_ring_m is None:
         return in_box
     inner, outer = settings.target_ring_m
     radius, angle = inner + (outer - inner) * (uniform[:, :1] + 1.0) / 2.0, jnp.pi * uniform[:, 1:2]
     offset = radius * jnp.concatenate([jnp.cos(angle), jnp.sin(angle)], axis=1)
-    return in_box.at[:, :2].set(agent[:2] + offset)
+    return in_box.at[:, :2].set(agent[..., :2] + offset)
 
 
 def check_free(problem: Problem, scenes: Sequence[Scene]) -> None:

@@ -23,6 +23,7 @@ from foveate.simulation.draft import Draft, Sensed, Stage, noise_covariance, pos
 from foveate.simulation.motion import expect_noise, keep_off_targets, move, stop_at_border, stop_at_obstacles
 from foveate.simulation.polar import compare_polar, correct_polar, expect_polar
 from foveate.simulation.records import Episode, Instant, LastLook, Protocol, State
+from foveate.simulation.scans import begin, predict_population, scan, shown, update_population
 from foveate.simulation.sight import hide, weigh_sight
 from foveate.types import Action
 
@@ -30,7 +31,9 @@ from foveate.types import Action
 def instants(episode: Episode) -> Instant:
     """An episode cut into its steps: every array gets a leading axis of K."""
     truth = episode.truth and replace(episode.truth, state=episode.truth.state[1:])
-    return Instant(episode.inputs, truth, episode.arrivals and jax.tree.map(lambda part: part[1:], episode.arrivals))
+    scans = episode.scans and replace(episode.scans, alive=episode.scans.alive[1:])
+    arrivals = episode.arrivals and jax.tree.map(lambda part: part[1:], episode.arrivals)
+    return Instant(episode.inputs, truth, arrivals, scans)
 
 
 def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
@@ -38,8 +41,8 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
     present = episode.present if episode.arrivals is None else episode.arrivals.present[0]
     information = first_information(problem, episode.mean.shape[0])
     levels = max(1, len(protocol.levels))
-    looks_back = episode.truth is not None and _uses_missed_detections(problem, protocol)
-    return State(
+    looks_back = episode.scans is None and episode.truth is not None and _uses_missed_detections(problem, protocol)
+    state = State(
         step=jnp.zeros((), int),
         pose=episode.pose,
         mean=episode.mean,
@@ -49,11 +52,16 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> State:
         last_look=LastLook(episode.pose, jnp.zeros(present.shape, bool)) if looks_back else None,
         contacts=None if problem.obstacles is None else jnp.zeros((), int),
     )
+    if problem.detections is None:
+        return state
+    return shown(problem, replace(state, dropped=jnp.zeros((), int)), begin(problem, episode))
 
 
 def predict(problem: Problem, state: State, known_input: Float[Array, "n m_y"]) -> State:
     """Predict every belief one step ahead; the pose is still T_k."""
     problem = problem.at(state.step)
+    if state.population is not None:
+        return predict_population(problem, state, known_input)
     ahead = jax.vmap(jax.vmap(belief.predict_information, (0, None)), (0, None))
     information = ahead(state.information, problem.motion)
     return replace(state, mean=problem.motion.advance(state.mean, known_input), information=information)
@@ -64,11 +72,16 @@ def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stag
     has_truth, has_births = instant.truth is not None, instant.arrivals is not None
     has_gate = has_truth and protocol.gate is not None
     uses_missed_detections = has_truth and _uses_missed_detections(problem, protocol)
-    return (
+    way = (
         move,
         *((stop_at_border,) if problem.bounds_agent else ()),
         *((keep_off_targets,) if problem.keep_off_m is not None else ()),
         *((stop_at_obstacles,) if problem.obstacles is not None else ()),
+    )
+    if problem.detections is not None:
+        return (*way, *((scan, update_population) if has_truth else ()))
+    return (
+        *way,
         expect_noise if problem.sensor.polar is None else expect_polar,
         *((sense,) if has_truth else ()),
         *((hide,) if has_truth and problem.obstacles is not None else ()),

@@ -17,8 +17,10 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.simulation.episodes import Drawn, Noise, draw, draw_shapes, draw_size, episode_of
+from foveate.simulation.population import noise_shapes
 from foveate.simulation.records import Episode
 from foveate.simulation.starts import check_free
+from foveate.simulation.team.starts import other_poses, scene_mate_noise
 
 SUITE_SEED = 2023
 """Seed of the built-in suites: the year of the paper."""
@@ -47,7 +49,8 @@ def suite(
     # Always in float64, so that a seed means the same scenes at every working precision.
     with jax.enable_x64(True):
         drawn = map(np.asarray, _scene_program(_constant(problem), largest)(uniform, targets, problem.obstacles))
-        agent, position, drift, *numbers = drawn
+        agent, position, drift, *rest = drawn
+    numbers, others = rest[: problem.obstacles is not None], rest[problem.obstacles is not None :]
     scenes = []
     for i, n in enumerate(targets.tolist()):
         cell = cells[i // count]
@@ -59,6 +62,7 @@ def suite(
                 drift=tuple(_numbers(row) for row in drift[i, :n] * cell.biased),
                 horizon=settings.horizon(n),
                 map=int(numbers[0][i]) if numbers else 0,
+                others=tuple(_numbers(row) for row in others[0][i]) if others else (),
             )
         )
     return scenes
@@ -117,12 +121,15 @@ def scene_noise(problem: Problem, scene: Scene, seed: int, episode: int) -> dict
     d, n_y, n_z = problem.agent.space.dimension, problem.motion.state_size, problem.sensor.size
     steps, n = scene.horizon, len(scene.targets)
     rng = np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode])
-    return {
+    drawn = {
         "jitter": rng.uniform(-1.0, 1.0, (steps, n, d)),
         "process": rng.standard_normal((steps, n, n_y)),
         "measurement": rng.standard_normal((steps, n, n_z)),
         "first": rng.standard_normal((n, n_y)),
     }
+    if problem.detections is None:
+        return drawn
+    return drawn | {name: rng.uniform(size=shape) for name, shape in noise_shapes(problem, steps, n).items()}
 
 
 def scene_episodes(
@@ -148,10 +155,14 @@ def scene_episodes(
     if problem.obstacles is not None:
         drawn["map_number"] = np.array([scene.map for scene in scenes])
     rows = [scene_noise(problem, scene, seed, k) for scene in scenes for k in range(episodes)]
-    noise = {
-        name: _padded([row[name] for row in rows], (*(steps, n)[3 - first.ndim :], first.shape[-1]))
-        for name, first in rows[0].items()
-    }
+    most = scene_noise(problem, replace(scenes[0], targets=((0.0,) * d,) * n, horizon=steps), seed, 0)
+    noise = {name: _padded([row[name] for row in rows], largest.shape) for name, largest in most.items()}
+    if problem.team is not None:
+        drawn["others"] = other_poses(problem, scenes)
+        more = [scene_mate_noise(problem, scene, seed, k) for scene in scenes for k in range(episodes)]
+        agents = problem.team.agents
+        shapes = {"mates": (steps, agents - 1, n, problem.sensor.size), "radio": (steps, agents, agents)}
+        noise |= {name: _padded([row[name] for row in more], shape) for name, shape in shapes.items()}
     scenes_of_rows = {name: np.repeat(values, episodes, axis=0) for name, values in drawn.items()}
     return _episode_program(_constant(problem), settings)(scenes_of_rows, noise, problem.obstacles)
 
@@ -188,7 +199,8 @@ def _scene_program(constant: Constant, settings: SceneSettings) -> Callable[...,
     def make(numbers, targets, obstacles):
         drawn = draw(settings, replace(problem, obstacles=obstacles), numbers, test=True, targets=targets)
         parts = problem.agent.space.numbers_of(drawn.pose), drawn.position, drawn.drift
-        return parts if drawn.map_number is None else (*parts, drawn.map_number)
+        parts = parts if drawn.map_number is None else (*parts, drawn.map_number)
+        return parts if drawn.others is None else (*parts, jax.vmap(problem.agent.space.numbers_of)(drawn.others))
 
     return jax.jit(jax.vmap(make, (0, 0, None)), compiler_options=quick_compilation())
 

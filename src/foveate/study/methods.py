@@ -18,8 +18,8 @@ from foveate.evaluation.oracle import OnProgress, oracle_rows
 from foveate.evaluation.planners import planner, planner_rows
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PPO, PRESETS, adjusted
-from foveate.experiment.resolve import heuristic_in
 from foveate.names import HEURISTICS
+from foveate.planning.named import heuristic_in
 from foveate.planning.shooting import OMNISCIENT, ONLINE, PUBLISHED, PlanSettings, refining
 from foveate.simulation.records import PROTOCOLS, Policy
 

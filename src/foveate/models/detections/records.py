@@ -13,6 +13,33 @@ NO_IDENTITY = -1
 """Identity of a slot without a track."""
 
 
+class Sources(eqx.Module):
+    """Where targets of a simulation come from, beside those of its scene.
+
+    Each of the boxes from `low` to `high` [m] has `first` targets before the first step, and Poisson births, `rate` a
+    step in the mean; anywhere in the grid are Poisson many before the first step, `undetected` in the mean. All are
+    uniform in their box.
+
+    There is room for `scattered` of these, for `births` a step, for `others` alive at a time beside those of the scene,
+    and for `clutter` false alarms a scan: so much that hardly ever one more is drawn, which then does not appear.
+    """
+
+    rate: Float[Array, " boxes"]
+    low: Float[Array, "boxes d"]
+    high: Float[Array, "boxes d"]
+    undetected: Scalar
+    first: tuple[int, ...] = eqx.field(static=True)
+    scattered: int = eqx.field(static=True)
+    births: int = eqx.field(static=True)
+    others: int = eqx.field(static=True)
+    clutter: int = eqx.field(static=True)
+
+    @property
+    def beginners(self) -> int:
+        """Room for targets before the first step, beside those of the scene."""
+        return sum(self.first) + self.scattered
+
+
 class DetectionModel(eqx.Module):
     """Detections of an unknown number of targets, and their births and deaths.
 
@@ -25,6 +52,9 @@ class DetectionModel(eqx.Module):
     `gate` is the largest squared Mahalanobis distance of a detection to a track that it may belong to; None: all may.
     Tracks with an existence below `recycle` return to the intensity of undetected targets; those above `confirm` are
     reported. The filter has room for `tracks` tracks and `detections` detections a scan.
+
+    In a simulation, policies are told of tracks above `tell`, targets of the scene begin as tracks (`known`) or not,
+    others come from `sources`, and GOSPA is at the distance `cutoff` [m].
     """
 
     probability: Scalar
@@ -42,6 +72,10 @@ class DetectionModel(eqx.Module):
     confirm: float = eqx.field(static=True, default=0.5)
     tracks: int = eqx.field(static=True, default=24)
     detections: int = eqx.field(static=True, default=16)
+    tell: float = eqx.field(static=True, default=0.1)
+    known: bool = eqx.field(static=True, default=True)
+    cutoff: Scalar | None = None
+    sources: Sources | None = None
 
     def probability_at(self, range_m: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Probability of detection of a target in the view at this range [m]."""

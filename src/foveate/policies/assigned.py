@@ -1,0 +1,115 @@
+"""Policies of single robots in a team: each robot is shown its own targets only, by a rule that all of them follow.
+
+Every robot works out the whole assignment by itself, from its own beliefs and the newest that it has heard of the
+others. Where all hear the same they agree; where they do not, two may follow one target until they hear of each other.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.errors import InputError
+from foveate.geometry.linalg import log_det_spd
+from foveate.models.problem import Problem
+from foveate.names import Assignment
+from foveate.policies.assignment import greedy, optimal
+from foveate.policies.rules import NATS_PER_STEP
+from foveate.policies.steering import steps_to_view
+from foveate.simulation.records import Observation, Policy
+from foveate.simulation.team.records import TeamView
+from foveate.types import Action, Key
+
+KEEP_NATS = 2.0
+"""How much better another assignment must be before a robot changes its target: less, and noise would decide."""
+
+LOAD = 1e4
+"""Cost of a second target of one robot: only where all robots have one."""
+
+MOST_COST = 1e3
+"""Largest cost of one target."""
+
+
+class AssignedMemory(NamedTuple):
+    """Memory of the policy, the targets of the robot, and its bids for all."""
+
+    own: Any
+    targets: Bool[Array, " n"]
+    bids: Float[Array, " n"]
+
+
+class Assigned(Policy):
+    """A policy that is shown the targets of its robot only; all targets, where the robot has none of its own.
+
+    By "greedy" pairs of robot and target are taken by their distance, the nearest first. "hungarian" is the assignment
+    of the least total cost, the time until a target is in view and what is known of it already, with a price for
+    changes; the costs of others are estimated from where they were heard last. In an "auction" the robots tell each
+    other their costs, and each works out who wins by the bids that it has heard. Where there are more targets than
+    robots, each gets as many as the next, or one less.
+    """
+
+    policy: Policy
+    problem: Problem
+    rule: Assignment = eqx.field(static=True)
+
+    def start(self, observation: Observation) -> AssignedMemory:
+        """Assign before the first decision."""
+        nothing = jnp.zeros_like(observation.present)
+        first = AssignedMemory((), nothing, jnp.zeros_like(observation.mean[:, 0]))
+        targets, bids = self._assigned(observation, first)
+        return AssignedMemory(self.policy.start(replace(observation, present=targets)), targets, bids)
+
+    def claims(self, observation: Observation, memory: AssignedMemory) -> Float[Array, " n"]:
+        """The bids of an auction; else 1 for the robot's targets."""
+        return memory.bids if self.rule == "auction" else memory.targets.astype(memory.bids.dtype)
+
+    def __call__(self, observation: Observation, memory: AssignedMemory, key: Key) -> tuple[Action, AssignedMemory]:
+        """Decide as if the robot's targets were all."""
+        targets, bids = self._assigned(observation, memory)
+        action, own = self.policy(replace(observation, present=targets), memory.own, key)
+        return action, AssignedMemory(own, targets, bids)
+
+    def _assigned(
+        self, observation: Observation, memory: AssignedMemory
+    ) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
+        """The targets of this robot, all where it has none, and its bids."""
+        team = observation.team
+        if team is None:
+            raise InputError("method: expected no assignment (NAME+RULE) for a single robot")
+        cost, own = self._costs(observation, team), jnp.arange(len(team.age)) == team.number
+        bids = -cost[team.number] + KEEP_NATS * memory.targets.astype(cost.dtype)
+        if self.rule == "auction":
+            is_heard = ~own & (team.age < observation.step)
+            cost = jnp.where(is_heard[:, None], -team.claims, cost)
+            cost = jnp.where(own[:, None], -bids, cost)
+        elif self.rule == "hungarian":
+            mine = memory.targets.astype(cost.dtype)
+            cost = cost - KEEP_NATS * jnp.where(own[:, None], mine, team.claims)
+        targets = shares(cost, observation.present, self.rule == "greedy")[team.number]
+        return jnp.where(targets.any(), targets, observation.present), bids
+
+    def _costs(self, observation: Observation, team: TeamView) -> Float[Array, "M n"]:
+        """Distance [m], or price [nat], of every target for every robot, where it was heard last."""
+        problem = self.problem.at(observation.step)
+        agent, extent, positions = problem.agent, problem.sensor.view.extent, problem.motion.position(observation.mean)
+        points_body = jax.vmap(agent.space.to_body, (0, None))(team.pose, positions)
+        if self.rule == "greedy":
+            return jnp.linalg.norm(points_body, axis=-1)
+        steps = jax.vmap(jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point)))(points_body)
+        return log_det_spd(observation.information) + NATS_PER_STEP * jnp.sum(steps, axis=-1)
+
+
+def shares(cost: Float[Array, "M n"], present: Bool[Array, " n"], is_greedy: bool) -> Bool[Array, "M n"]:
+    """The targets of each robot: every present target has one, and no robot has two more than another."""
+    robots, targets = cost.shape
+    rounds = max(1, math.ceil(targets / robots))
+    usable = jnp.clip(jnp.nan_to_num(cost, nan=MOST_COST), -MOST_COST, MOST_COST)
+    # Robots once for each round; padding is taken last, and the same by all.
+    loaded = usable + LOAD * jnp.arange(rounds, dtype=cost.dtype)[:, None, None]
+    loaded = jnp.where(present, loaded, LOAD * (rounds + 1)).reshape(rounds * robots, targets)
+    chosen = (greedy if is_greedy else optimal)(loaded).reshape(rounds, robots)
+    return jnp.any(chosen[..., None] == jnp.arange(targets), axis=0) & present

@@ -1,0 +1,1 @@
+"""Teams of robots with a radio: what they hear of each other, and what they make of it."""

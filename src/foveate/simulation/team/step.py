@@ -1,0 +1,193 @@
+"""One step of a team: the stages of a single robot for each of them, and then the exchange of what they know.
+
+Every robot predicts, observes and decides by itself, then moves, senses and updates its own beliefs by the stages of
+`simulation.step`. The exchange gives each the evidence that it hears.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.models.belief import Belief
+from foveate.models.fusion import Evidence, evidence_of
+from foveate.models.problem import Problem
+from foveate.models.robot import Robot
+from foveate.simulation import step
+from foveate.simulation.draft import Draft
+from foveate.simulation.records import Episode, Instant, Observation, Protocol, State, Truth, observe
+from foveate.simulation.team import window
+from foveate.simulation.team.radio import Roster, first_roster, links, merged, own_news, views
+from foveate.simulation.team.records import TeamDraws
+from foveate.simulation.team.window import Beliefs, Message, Window
+from foveate.types import Action, Count
+
+
+class Mail(NamedTuple):
+    """A message of every robot, and whom it will reach."""
+
+    message: Message
+    roster: Roster
+    heard: Bool[Array, "M M"]
+
+
+class TeamState(eqx.Module):
+    """Robots after a step, each as a single one's state with a leading axis of M, and what is on its way.
+
+    `central` are the beliefs of a filter that hears every measurement at once. `window` and `mail`, the messages of
+    the last steps that have not arrived, are None for a radio that is perfect or silent.
+    """
+
+    robots: State
+    central: Beliefs
+    roster: Roster
+    window: Window | None = None
+    mail: Mail | None = None
+
+
+def start(problem: Problem, episode: Episode, protocol: Protocol) -> TeamState:
+    """The state before the first step."""
+    assert problem.team is not None, "of a team's problems"
+    poses, radio = first_poses(episode), problem.team.radio
+    robots = jax.vmap(lambda pose: step.start(problem, replace(episode, pose=pose, team=None), protocol))(poses)
+    roster = first_roster(poses, episode.mean.shape[0])
+    central = Beliefs(episode.mean, robots.information[0])
+    if radio.kind != "lossy":
+        return TeamState(robots, central, roster)
+    beliefs = Beliefs(robots.mean, robots.information)
+    begun, mail = window.first_window(problem, beliefs, max(1, len(protocol.levels))), None
+    if radio.delay:
+        silence = jnp.zeros((len(poses), len(poses)), bool)
+        one = Mail(Message(begun.knows, beliefs), roster, silence)
+        mail = jax.tree.map(lambda x: jnp.broadcast_to(x, (radio.delay, *x.shape)), one)
+    return TeamState(robots, central, roster, begun, mail)
+
+
+def first_poses(episode: Episode) -> Float[Array, "M ..."]:
+    """The poses with which all robots start."""
+    assert episode.team is not None, "of a team's episodes"
+    return jnp.concatenate([episode.pose[None], episode.team.poses])
+
+
+def predict(problem: Problem, state: TeamState, known_input: Float[Array, "n m_y"]) -> State:
+    """Every robot's beliefs, predicted one step ahead."""
+    return jax.vmap(step.predict, (None, 0, None))(problem, state.robots, known_input)
+
+
+def observations(
+    problem: Problem, state: TeamState, predicted: State, known_input: Float[Array, "n m_y"], horizon: Count
+) -> Observation:
+    """What every robot observes, with a leading axis of M."""
+    robot, seen = Robot.of(problem), views(state.roster, predicted.step[0])
+    return jax.vmap(lambda own, view: observe(own, known_input, horizon, robot, view))(predicted, seen)
+
+
+def act(
+    problem: Problem,
+    protocol: Protocol,
+    state: TeamState,
+    predicted: State,
+    instant: Instant,
+    draws: TeamDraws,
+    decided: tuple[Float[Array, "M m"], Float[Array, "M n"]],
+) -> tuple[TeamState, Draft, Bool[Array, "M M"]]:
+    """The state after one step of all robots, the drafts of their own steps, and who has heard whom.
+
+    `decided` are their actions and claims.
+    """
+    action, claims = decided
+    drafts = _drafts(problem, protocol, predicted, instant, draws, action)
+    number = predicted.step[0]
+    reference = predicted.mean[0]
+    evidence = jax.vmap(lambda draft: _evidence(problem, draft, reference))(drafts)
+    measured = window.Step(evidence, reference, instant.known_input)
+    one = jax.tree.map(lambda x: x[None], state.central)
+    everything = jnp.ones((1, len(action)), bool)
+    central = jax.tree.map(lambda x: x[0], window.updated(problem, one, measured, everything, number))
+    after = replace(
+        state,
+        robots=drafts.state,
+        central=central,
+        roster=own_news(state.roster, number + 1, drafts.state.pose, claims),
+    )
+    after, heard = exchange(problem, after, measured, draws, number)
+    return after, drafts, heard
+
+
+def exchange(
+    problem: Problem, state: TeamState, measured: window.Step, draws: TeamDraws, number: Count
+) -> tuple[TeamState, Bool[Array, "M M"]]:
+    """The state after the messages of step `number`, and whom those that are sent in it reach."""
+    assert problem.team is not None, "of a team's problems"
+    radio, poses = problem.team.radio, state.robots.pose
+    heard = links(radio, problem.agent.space, poses, draws.radio)
+    if radio.kind == "silent":
+        return state, heard
+    if radio.kind == "perfect":
+        shared = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(poses), *x.shape)), state.central)
+        return replace(_with_beliefs(state, shared), roster=merged(state.roster, state.roster, heard)), heard
+
+    assert state.window is not None, "`start` makes one for a lossy radio"
+    own = window.shifted(state.window, measured)
+    arriving, waiting = Mail(Message(own.knows, own.base), state.roster, heard), None
+    if radio.delay:
+        arriving, waiting = (jax.tree.map(part, state.mail) for part in (lambda x: x[0], lambda x: x[1:]))
+    known = window.received(own, arriving.message, arriving.heard, radio.delay)
+    roster = merged(state.roster, arriving.roster, arriving.heard)
+    course = window.filtered(problem, known, number)
+    state = _with_beliefs(state, jax.tree.map(lambda x: x[-1], course))
+    following = replace(known, base=jax.tree.map(lambda x: x[0], course))
+    if waiting is not None:
+        # Its base is that of the window in which it will arrive.
+        base = jax.tree.map(lambda x: x[radio.delay - 1], course)
+        sent = Mail(Message(known.knows, base), roster, heard)
+        waiting = jax.tree.map(lambda old, new: jnp.concatenate([old, new[None]]), waiting, sent)
+    return replace(state, roster=roster, window=following, mail=waiting), heard
+
+
+def _with_beliefs(state: TeamState, beliefs: Beliefs) -> TeamState:
+    def take(robot: State, mean: Array, information: Array) -> State:
+        return replace(robot, mean=mean, information=information)
+
+    return replace(state, robots=jax.vmap(take)(state.robots, *beliefs))
+
+
+def _drafts(
+    problem: Problem,
+    protocol: Protocol,
+    predicted: State,
+    instant: Instant,
+    draws: TeamDraws,
+    action: Float[Array, "M m"],
+) -> Draft:
+    """The robots' own steps: each with noise of its own, and kept off the others."""
+    truth = instant.truth
+    assert truth is not None, "a team's episodes have truth"
+    noise = jnp.concatenate([truth.measurement_noise[None], draws.measurement_noise])
+    positions, count = jax.vmap(problem.agent.space.position)(predicted.pose), len(action)
+    others = jnp.arange(count)[:, None] + jnp.arange(1, count)
+    mates = positions[others % count] if problem.keep_off_m is not None else None
+
+    def draft(robot: State, action: Action, noise: Array, mates: Array | None) -> Draft:
+        own = replace(instant, truth=Truth(truth.state, noise), mates_world=mates)
+        return step.act(problem, protocol, robot, own, action)
+
+    return jax.vmap(draft)(predicted, action, noise, mates)
+
+
+def _evidence(problem: Problem, draft: Draft, reference: Float[Array, "n n_y"]) -> Evidence:
+    """What one robot has measured of every target in a step."""
+    gain = jax.vmap(problem.sensor.information)(draft.covariance) if draft.gain is None else draft.gain
+    taken = jnp.where(draft.measured[:, None, None], gain, 0.0)
+    weighed = draft.weight[..., None, None] * gain
+    growth = jnp.where(draft.weight[..., None, None] > 0, weighed, 0.0)
+
+    def of(mean, information, gain, growth, corrected, reference):
+        return evidence_of(Belief(mean, information), gain, growth, corrected, reference)
+
+    before = draft.predicted
+    each = jax.vmap(of, (0, 0, 0, 1, 0, 0))
+    return each(before.mean, before.information[-1], taken, growth, draft.state.mean, reference)

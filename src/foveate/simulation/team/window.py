@@ -1,0 +1,134 @@
+"""Fusion over a radio that loses or delays messages, without counting a measurement twice.
+
+A message holds the measurements of the last steps that its sender knows, each with its step and its source, and the
+sender's belief at the beginning of this window. The receiver adds the measurements that it lacks, and filters again
+from its own beginning: exactly the Kalman filter of all these measurements. Measurements older than the window are in
+the beliefs at its beginning, of which nobody knows what they have in common: they are fused by covariance intersection.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from foveate.geometry.linalg import log_det_spd
+from foveate.models.belief import Belief, predict_information
+from foveate.models.fusion import Evidence, corrected_by, covariance_intersection
+from foveate.models.problem import Problem
+from foveate.types import Count
+
+
+class Beliefs(NamedTuple):
+    """Beliefs of all targets, of one robot or of several; information of every level of the protocol."""
+
+    mean: Float[Array, "*b n n_y"]
+    information: Float[Array, "*b levels n n_y n_y"]
+
+
+class Step(NamedTuple):
+    """What all robots have measured in a step: evidence (M, n, ..), its references, and the known inputs."""
+
+    evidence: Evidence
+    reference: Float[Array, "*L n n_y"]
+    known_input: Float[Array, "*L n m_y"]
+
+
+class Window(eqx.Module):
+    """The measurements of the last L steps, oldest first, and what each robot knows of them.
+
+    `base` are the beliefs before these steps; `knows` says whose measurements (last axis) of which step each robot has.
+    """
+
+    steps: Step
+    base: Beliefs
+    knows: Bool[Array, "M L M"]
+
+
+class Message(NamedTuple):
+    """What every robot sends: the measurements that it knows, and its beliefs at the beginning of the window."""
+
+    knows: Bool[Array, "M L M"]
+    base: Beliefs
+
+
+def first_window(problem: Problem, beliefs: Beliefs, levels: int) -> Window:
+    """A window before the first step, of the beliefs (M, n, ..) that each robot begins with."""
+    assert problem.team is not None, "a window is a team's"
+    (robots, n, n_y), length = beliefs.mean.shape, problem.team.radio.memory
+    zero = jnp.zeros((length, robots, n, n_y, n_y), beliefs.mean.dtype)
+    evidence = Evidence(zero, zero[..., 0], jnp.zeros((length, robots, n, levels, n_y, n_y), zero.dtype))
+    known_input = jnp.zeros((length, n, problem.motion.input_size), zero.dtype)
+    steps = Step(evidence, zero[:, 0, ..., 0], known_input)
+    return Window(steps, beliefs, jnp.zeros((robots, length, robots), bool))
+
+
+def shifted(window: Window, step: Step) -> Window:
+    """The window one step later; of the new step each robot knows its own measurements."""
+    steps = jax.tree.map(lambda old, new: jnp.concatenate([old[1:], new[None]]), window.steps, step)
+    own = jnp.eye(window.knows.shape[0], dtype=bool)[:, None]
+    return Window(steps, window.base, jnp.concatenate([window.knows[:, 1:], own], axis=1))
+
+
+def received(window: Window, sent: Message, heard: Bool[Array, "M M"], delay: int) -> Window:
+    """The window after the messages that were heard, sent `delay` steps ago: their bases are of the window's own time.
+
+    Of several beliefs the best known one of each target is fused, by its last level.
+    """
+    knows = jnp.any(heard[:, :, None, None] & sent.knows, axis=1)
+    if delay:
+        late = jnp.zeros_like(knows[:, :delay])
+        knows = jnp.concatenate([knows[:, delay:], late], axis=1)
+    worth = log_det_spd(sent.base.information[:, -1])
+    worth = jnp.where(heard[..., None] & jnp.isfinite(worth), worth, -jnp.inf)  # receiver, sender, target
+    best, target = jnp.argmax(worth, axis=1), jnp.arange(worth.shape[-1])
+    exists = jnp.isfinite(jnp.max(worth, axis=1))
+    mean, information = sent.base.mean[best, target], jnp.moveaxis(sent.base.information, 1, 2)[best, target]
+
+    def fuse(own_mean, own_information, mean, information, exists):
+        both = jax.vmap(lambda own, other: covariance_intersection(Belief(own_mean, own), Belief(mean, other)))
+        fused = both(own_information, information)
+        return (
+            jnp.where(exists, fused.mean[-1], own_mean),
+            jnp.where(exists, fused.information, own_information),
+        )
+
+    each = jax.vmap(jax.vmap(fuse, (0, 1, 0, 0, 0), (0, 1)))
+    base = Beliefs(*each(*window.base, mean, information, exists))
+    return replace(window, base=base, knows=window.knows | knows)
+
+
+def filtered(problem: Problem, window: Window, last: Count) -> Beliefs:
+    """Beliefs of every robot after each step of the window, of which `last` is the newest: a leading axis of L.
+
+    Steps before the first one of an episode change nothing.
+    """
+    length = window.knows.shape[1]
+    numbers = last - jnp.arange(length - 1, -1, -1)
+
+    def advance(beliefs: Beliefs, entry: tuple[Step, Bool[Array, "M M"], Count]) -> tuple[Beliefs, Beliefs]:
+        step, knows, number = entry
+        after = updated(problem, beliefs, step, knows, number)
+        after = jax.tree.map(lambda new, old: jnp.where(number >= 0, new, old), after, beliefs)
+        return after, after
+
+    return jax.lax.scan(advance, window.base, (window.steps, jnp.moveaxis(window.knows, 1, 0), numbers))[1]
+
+
+def updated(problem: Problem, beliefs: Beliefs, step: Step, knows: Bool[Array, "M sources"], number: Count) -> Beliefs:
+    """Beliefs (M, ..) predicted by one step, and updated by the measurements that each robot knows of it."""
+    motion = problem.at(jnp.maximum(number, 0)).motion
+    share = knows.astype(beliefs.mean.dtype)
+    # Robot by source times source by the rest: one product for all targets.
+    known: Evidence = jax.tree.map(lambda x: jnp.tensordot(share, x, 1, precision="highest"), step.evidence)
+
+    def of_target(mean, information, evidence, reference, known_input):
+        information = jax.vmap(predict_information, (0, None))(information, motion)
+        prediction = Belief(motion.advance(mean, known_input), information[-1])
+        return corrected_by(prediction, evidence, reference), information + evidence.growth
+
+    of_robot = jax.vmap(of_target, (0, 1, 0, 0, 0), (0, 1))
+    of_team = jax.vmap(of_robot, (0, 0, 0, None, None))
+    return Beliefs(*of_team(*beliefs, known, step.reference, step.known_input))

@@ -1,0 +1,98 @@
+"""Shares of the targets: all of them, each once, evenly; and robots that hear nothing may disagree."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.rejections import assert_rejected
+from scipy.optimize import linear_sum_assignment
+
+from foveate.experiment.resolve import methods_of
+from foveate.planning.named import assigned_in, heuristic_in
+from foveate.policies.assigned import KEEP_NATS, shares
+from foveate.policies.rules import priced
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.team import TeamSettings
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import TRUE
+from foveate.simulation.team.rollout import first_observations
+
+M, N = 3, 3
+SCENARIO = Scenario(
+    team=TeamSettings(agents=M, half_side_m=(9.0, 9.0)),
+    scenes=SceneSettings(targets_min=N, targets_max=N, half_side_m=(9.0, 9.0), half_side_per_target_m=0.0, steps=4),
+)
+
+
+@pytest.mark.parametrize(("robots", "targets", "present"), [(3, 3, 3), (3, 7, 7), (3, 7, 4), (4, 2, 2)])
+@pytest.mark.parametrize("is_greedy", [True, False])
+def test_every_target_has_one_robot_and_no_robot_two_more_than_another(robots, targets, present, is_greedy):
+    cost = np.random.default_rng(0).uniform(0, 50, (robots, targets))
+    mask = np.arange(targets) < present
+    own = np.asarray(shares(jnp.asarray(cost), jnp.asarray(mask), is_greedy))
+    np.testing.assert_array_equal(own.sum(axis=0), mask)
+    assert own.sum(axis=1).max() - own.sum(axis=1).min() <= 1
+
+
+@pytest.fixture(scope="module")
+def observed():
+    problem = SCENARIO.problem()
+    episode = training_episode(problem, SCENARIO.scenes, jax.random.key(1), noise=True)
+    return problem, first_observations(problem, episode, TRUE)
+
+
+def assigned(observed, rule, observation=None):
+    """The targets of each robot at the first decision, and the policy with its memories."""
+    policy = assigned_in(SCENARIO, heuristic_in(SCENARIO, "nearest"), rule)
+    memory = jax.vmap(policy.start)(observed[1] if observation is None else observation)
+    return np.asarray(memory.targets), policy, memory
+
+
+def test_hungarian_equals_scipy_on_the_price_of_every_robot(observed):
+    problem, seen = observed
+    cost = np.array([priced(problem, jax.tree.map(lambda x, m=m: x[m], seen)) for m in range(M)])
+    rows, columns = linear_sum_assignment(cost)
+    for rule in ("hungarian", "auction"):
+        targets = assigned(observed, rule)[0]
+        assert cost[targets].sum() == pytest.approx(cost[rows, columns].sum())
+
+
+def test_greedy_takes_the_nearest_pair(observed):
+    problem, seen = observed
+    position = np.asarray(problem.motion.position(seen.mean[0]))
+    distance = np.linalg.norm(np.asarray(seen.pose)[:, None, :2] - position, axis=-1)
+    robot, target = np.unravel_index(np.argmin(distance), distance.shape)
+    assert assigned(observed, "greedy")[0][robot, target]
+
+
+def test_an_auction_goes_by_the_bids_that_were_heard(observed):
+    """Robot 0 hears that robot 1 bids less than it can for all targets but the third, and leaves that one to it."""
+    problem, seen = observed
+    bids = jnp.array([-900.0, -900.0, 900.0])
+    heard = (jnp.full(M, 2), jnp.ones_like(seen.team.age), seen.team.claims.at[:, 1].set(bids))
+    later = eqx.tree_at(lambda seen: (seen.step, seen.team.age, seen.team.claims), seen, heard)
+    targets, policy, memory = assigned(observed, "auction", later)
+    assert targets[0].tolist() in ([True, False, False], [False, True, False])
+    own = jax.vmap(policy.claims)(seen, memory)
+    expected = -np.array(priced(problem, jax.tree.map(lambda x: x[0], seen)))
+    np.testing.assert_allclose(own[0], expected, atol=1e-9)
+
+
+def test_a_robot_keeps_its_target_for_a_while(observed):
+    """The bid for a robot's own target is better by KEEP_NATS at its next decision."""
+    seen = observed[1]
+    targets, policy, memory = assigned(observed, "auction")
+    after = jax.vmap(lambda *each: policy(*each)[1])(seen, memory, jax.random.split(jax.random.key(0), M))
+    np.testing.assert_allclose(after.bids - memory.bids, KEEP_NATS * targets, atol=1e-9)
+
+
+def test_names_of_methods():
+    assert methods_of(["uncertain+greedy", "policy+auction"]) == ("uncertain+greedy", "policy+auction")
+    for name in ("uncertain+nobody", "all+greedy", "uncertain+", "nobody+greedy"):
+        assert_rejected(lambda name=name: methods_of(name), f"method {name!r}: expected one of")
+    single = replace(SCENARIO, team=None)
+    assert_rejected(lambda: assigned_in(single, heuristic_in(single, "nearest"), "greedy"), "the scenario has no team")
