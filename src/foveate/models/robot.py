@@ -22,6 +22,11 @@ class Robot(eqx.Module):
         """The robot of a problem."""
         return cls(problem, problem.sensor.view.extent)
 
+    @property
+    def map_number(self) -> Count | None:
+        """Number of the robot's map; None without obstacles."""
+        return None if self.problem.obstacles is None else self.problem.obstacles.grid.index
+
     def at(self, step: Count) -> "Robot":
         """The robot at step k: the same where nothing changes."""
         return Robot(self.problem.at(step), self.extent)

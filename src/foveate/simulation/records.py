@@ -87,8 +87,7 @@ class Observation(eqx.Module):
     known_input: Float[Array, "n m_y"]
     robot: Robot | None = None
     """What a policy may know about its robot; None for policies that ask for nothing."""
-    surroundings: Surroundings | None = None
-    """What a robot without a map of ours is told of obstacles; None: as the robot's map has it."""
+    surroundings: Surroundings | None = None  # None: those of the robot's map
     existence: Float[Array, " n"] | None = None
     """Probability that a target exists, of each entry; None where that is certain."""
     undetected: Float[Array, "*cells"] | None = None
@@ -99,8 +98,7 @@ class Observation(eqx.Module):
     @property
     def map_number(self) -> Count | None:
         """Number of the robot's map; None without obstacles."""
-        obstacles = None if self.robot is None else self.robot.problem.obstacles
-        return None if obstacles is None else obstacles.grid.index
+        return None if self.robot is None else self.robot.map_number
 
 
 class Policy(eqx.Module):
