@@ -156,7 +156,8 @@ def evaluate(
             list, whose members run in the scenario of the first, each as a method of its own name.
         scenes: File, list, "table1" (the paper's; default in the plane), or "own" (of the scenario; default in space).
         method: "policy", "random", "still", "nearest", "uncertain", "lawnmower", "price", "window", "post", several, or
-            "all"; in a team also NAME+RULE, with targets assigned by "greedy", "hungarian" or "auction".
+            "all"; where detections have no ids, also "explore", "alternate", "lookahead"; in a team also NAME+RULE,
+            with targets assigned by "greedy", "hungarian" or "auction".
         protocol: Information from the paper's soft view (surrogate), from real measurements (true), or both.
         episodes: Episodes per scene.
         seed: Seed of the noise.
@@ -172,8 +173,8 @@ def evaluate(
     Raises:
         InputError: An argument is invalid, a file is damaged, or the scenes do not fit the scenario.
     """
-    methods, protocols = methods_of(method), _protocols(protocol, episodes, seed, scene_seed)
-    subject, *others = subjects_of(policy, scenario)
+    protocols, (subject, *others) = _protocols(protocol, episodes, seed, scene_seed), subjects_of(policy, scenario)
+    methods = methods_of(method, subject.experiment.scenario.detections is None)
     subject = replace(subject, experiment=with_initial_error(subject.experiment, initial_error))
     chosen, known = scenes_of(scenes, scene_seed, subject.experiment)
     name = ", ".join(each.name for each in (subject, *others))

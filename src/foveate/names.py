@@ -8,6 +8,9 @@ from typing import Literal, get_args
 Heuristic = Literal["random", "still", "nearest", "uncertain", "lawnmower", "price", "window", "post"]
 """A policy without training."""
 
+Searcher = Literal["explore", "alternate", "lookahead"]
+"""A policy without training that looks for targets never detected, where detections have no ids."""
+
 Method = Literal["policy", Heuristic]
 """The trained policy, or a heuristic."""
 
@@ -39,6 +42,7 @@ FirstVelocity = Literal["zero", "truth"]
 """Mean velocity of a new belief: 0, as a tracker begins one, or the true velocity with an error."""
 
 HEURISTICS: tuple[Heuristic, ...] = get_args(Heuristic)
+SEARCHERS: tuple[Searcher, ...] = get_args(Searcher)
 METHODS: tuple[Method, ...] = get_args(Method)
 ASSIGNMENTS: tuple[Assignment, ...] = get_args(Assignment)
 LEARNER_NAMES: tuple[Learner, ...] = get_args(Learner)

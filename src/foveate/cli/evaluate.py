@@ -32,8 +32,9 @@ class Evaluate(Command):
     protocol: Literal["surrogate", "true", "both"] = "both"
     """Source of information: the soft view (surrogate) or real measurements (true); see above."""
     method: Annotated[tuple[str, ...], option("NAME ..")] = ("policy",)
-    """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all. In a team
-    also NAME+RULE with greedy, hungarian, auction: targets are assigned to robots."""
+    """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all. Without ids of
+    detections also explore, alternate, lookahead. In a team also NAME+RULE with greedy, hungarian, auction: targets are
+    assigned to robots."""
     episodes: int = 1
     """Noise draws per scene."""
     seed: int = 0

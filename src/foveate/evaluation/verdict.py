@@ -19,7 +19,7 @@ from foveate.io.progress import Bar
 from foveate.io.provenance import provenance
 from foveate.io.records import from_table
 from foveate.io.tables import Table, html, text
-from foveate.names import ASSIGNMENTS, HEURISTICS, Objective, ProtocolName
+from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS, Objective, ProtocolName
 from foveate.planning.named import assigned_in, heuristic_in
 from foveate.planning.shooting import ONLINE, PlanSettings
 from foveate.simulation.records import Policy
@@ -166,6 +166,8 @@ def heuristics(experiment: Experiment) -> dict[str, Policy]:
     """Every heuristic, for the robot of an experiment; in a team also with targets assigned."""
     scenario = experiment.scenario
     found = {name: heuristic_in(scenario, name) for name in HEURISTICS}
+    if scenario.detections is not None:
+        return found | {name: heuristic_in(scenario, name) for name in SEARCHERS}
     if scenario.problem().team is None:
         return found
     return found | {f"uncertain+{rule}": assigned_in(scenario, found["uncertain"], rule) for rule in ASSIGNMENTS}

@@ -22,7 +22,7 @@ from foveate.io.progress import logger
 from foveate.io.toml import load_toml
 from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.names import ASSIGNMENTS, METHODS, Assignment, InitialError, Objective
+from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS, Assignment, InitialError, Objective
 from foveate.planning.named import assigned_in, heuristic_in
 from foveate.policies.pointer import PointerPolicy, PointerSettings
 from foveate.policies.tokens import token_size
@@ -211,19 +211,21 @@ def with_initial_error(experiment: Experiment, initial_error: InitialError | Non
     return replace(experiment, scenario=replace(experiment.scenario, scenes=scenes))
 
 
-def methods_of(method: str | Sequence[str]) -> tuple[str, ...]:
+def methods_of(method: str | Sequence[str], has_ids: bool = True) -> tuple[str, ...]:
     """Return methods' names, each once, with `all` resolved. Raises InputError for an unknown name.
 
-    In a team NAME+RULE assigns targets to robots (see `policies.assigned`).
+    Those that search are of detections without ids. In a team NAME+RULE assigns targets to robots (see
+    `policies.assigned`).
     """
-    names = [method] if isinstance(method, str) else list(method)
+    names, known = [method] if isinstance(method, str) else list(method), (*METHODS, *SEARCHERS)
     for each in names:
         name, plus, rule = each.partition("+")
-        if name not in (*METHODS, "all") or (plus and (rule not in ASSIGNMENTS or name == "all")):
+        if name not in (*known, "all") or (plus and (rule not in ASSIGNMENTS or name == "all")):
             rules = ", ".join(ASSIGNMENTS)
-            right = f"expected one of {', '.join(METHODS)}, in a team also NAME+RULE with {rules}, or all"
+            right = f"expected one of {', '.join(known)}, in a team also NAME+RULE with {rules}, or all"
             raise InputError(f"method {each!r}: {right}")
-    return METHODS if "all" in names else tuple(dict.fromkeys(names))
+    everything = METHODS if has_ids else known
+    return everything if "all" in names else tuple(dict.fromkeys(names))
 
 
 def scenes_of(scenes: Name | Sequence[Scene] | None, seed: int, experiment: Experiment) -> tuple[str, list[Scene]]:

@@ -1,15 +1,18 @@
 """Heuristics by their names, those that simulate their commands among them."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.io.validate import require
 from foveate.models.problem import Problem
-from foveate.names import HEURISTICS, Assignment
+from foveate.names import HEURISTICS, SEARCHERS, Assignment
+from foveate.planning.lookahead import LookAhead
 from foveate.planning.window import DynamicWindow
 from foveate.policies.assigned import Assigned
 from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
 from foveate.policies.rules import Post, Price
+from foveate.policies.search import Alternate, Explore
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Policy
 
@@ -20,8 +23,11 @@ def heuristic_policy(
     """Make the heuristic of a name in JAX; raises InputError for an unknown one.
 
     Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
-    box that the lawnmower sweeps, and in which the post is; None takes that of the initial beliefs.
+    box that the lawnmower sweeps, and in which the post is; None takes that of the initial beliefs, or that of the grid
+    of undetected targets.
     """
+    if problem.detections is not None and box_world is None:
+        box_world = jnp.stack([problem.detections.grid.low, problem.detections.grid.high])
     # Half the depth keeps a target in the middle of the view, whichever way it moves.
     policies: dict[str, Policy] = {
         "random": Random(problem),
@@ -33,6 +39,11 @@ def heuristic_policy(
         "window": DynamicWindow(problem, 0.5 * depth_m),
         "post": Post(problem, depth_m, box_world),
     }
+    if problem.detections is not None:
+        searchers = {"explore": Explore(problem, 0.0), "alternate": Alternate(problem, 0.0)}
+        policies |= {**searchers, "lookahead": LookAhead(problem)}
+    elif name in SEARCHERS:
+        raise InputError(f"method {name!r}: expected a scenario with detections without ids: scenario.detections")
     if name not in policies:
         raise InputError(f"method {name!r}: expected one of {', '.join(HEURISTICS)}")
     return policies[name]

@@ -16,7 +16,6 @@ from foveate.experiment.learners import PPOSettings
 from foveate.experiment.presets import adjusted
 from foveate.io.cache import Job
 from foveate.io.toml import digest, load_toml
-from foveate.names import HEURISTICS
 from foveate.planning.shooting import ONLINE, PlanSettings
 from foveate.simulation.suites import SUITE_SEED
 from foveate.study.jobs import (
@@ -146,7 +145,7 @@ class _World:
             found = policy_scores(self._episodes(), rules, lambda done: note(f"{done} of {len(rules)}"))
             return [self._scored(name, "heuristic", scores) for name, scores in found.items()]
 
-        return self._job("heuristics", lambda: [*HEURISTICS], compute)
+        return self._job("heuristics", lambda: [*heuristics(self.experiment)], compute)
 
     def planner(self) -> Job[Any]:
         """Job of the planner."""

@@ -94,7 +94,7 @@ def update(problem: Problem, model: DetectionModel, population: Population, pose
     kept = _mixture(tracks, missed, pairs, found, still_there)
     share = arrivals / jnp.maximum(clutter + arrivals, jnp.finfo(arrivals.dtype).tiny)
     new = replace(new, existence=jnp.where(scan.valid, found.unclaimed * share, 0.0))
-    undetected = population.undetected * (1.0 - _cell_detection(problem, model, pose))
+    undetected = population.undetected * (1.0 - cell_detection(problem, model, pose))
     next_look = Look(pose, found.missed > 0.5, missed.excess)
     return merged(problem, model, replace(population, undetected=undetected, look=next_look), kept, new)
 
@@ -178,7 +178,7 @@ def _noise(problem: Problem, pose: Pose, states: Float[Array, "n n_y"]) -> Float
     return jax.vmap(problem.sensor.covariance, (None, 0))(space.rotation(pose), points_body)
 
 
-def _cell_detection(problem: Problem, model: DetectionModel, pose: Pose) -> Float[Array, "*cells"]:
+def cell_detection(problem: Problem, model: DetectionModel, pose: Pose) -> Float[Array, "*cells"]:
     """Probability of detection of a target somewhere in each cell: p_D at its middle times its share in the view.
 
     The share is that of a strip as wide as the cell which the view's border cuts at its distance from the middle.

@@ -1,0 +1,142 @@
+"""Look ahead by the filter's own expectation: which way would leave the least GOSPA, of worlds without ids.
+
+Ways lead to coarse places and to tracks. Along each the expected cost is predicted, in units of a missed target (c^2 /
+2 of GOSPA's square): undetected targets count 1 until a look finds them, with the probability of detection, and births
+count from their step. A track of existence r and error d counts r 2 E min(d^2, c^2) / c^2, and 1 - r, where it is
+reported though it may be false, or r where it is not; after a look that finds it the former alone, with the error after
+that measurement, growing from then on.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
+from foveate.models.detections.expectation import capped
+from foveate.models.detections.filter import cell_detection
+from foveate.models.detections.records import DetectionModel
+from foveate.models.problem import Problem
+from foveate.policies.search import detections_of, undetected_of
+from foveate.policies.steering import steer
+from foveate.simulation.records import Observation, Policy
+from foveate.types import Action, Key, Point, Pose
+
+STEPS = 10
+"""Steps of a way."""
+TAIL = 5.0
+"""Further steps for which the cost at the end of a way counts."""
+GOALS = {2: 6, 3: 4}
+"""Most places along each axis that ways lead to, by the dimension of space."""
+CELLS = {2: 10, 3: 6}
+"""Most cells along each axis on which undetected targets are counted."""
+
+
+class Errors(NamedTuple):
+    """Mean squared errors of the tracks' positions [m^2] after each step: without a look, and since one."""
+
+    unseen: Float[Array, "steps n"]
+    seen: Float[Array, "steps n"]
+    position_world: Float[Array, "steps n d"]
+
+
+class LookAhead(Policy):
+    """Takes the first action of the way that leaves the least expected GOSPA."""
+
+    problem: Problem
+    steps: int = eqx.field(static=True, default=STEPS)
+    tail: float = eqx.field(static=True, default=TAIL)
+
+    def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
+        """The first action to the best of places and tracks."""
+        problem = self.problem.at(observation.step).of_map(observation.map_number)
+        model, cells = detections_of(problem, observation)
+        places = undetected_of(model, cells, GOALS[len(model.grid.shape)]).position_world
+        goals = jnp.concatenate([problem.motion.position(observation.mean), places])
+        poses, first = jax.vmap(lambda goal: _way(problem, observation.pose, goal, self.steps))(goals)
+        errors = errors_ahead(problem, observation, self.steps)
+        cost = jax.vmap(lambda way: self.cost(problem, observation, errors, way))(poses)
+        may = jnp.concatenate([observation.present, jnp.ones(len(places), bool)])
+        return first[jnp.argmin(jnp.where(may, cost, jnp.inf))], memory
+
+    def cost(self, problem: Problem, observation: Observation, errors: Errors, way: Pose) -> Float[Array, ""]:
+        """Expected cost over the steps of a way, and the tail [targets]."""
+        weight = jnp.ones(self.steps).at[-1].add(self.tail)
+        tracks = _of_tracks(problem, observation, errors, way)
+        return jnp.sum(weight * (tracks + _of_undetected(problem, observation, way)))
+
+
+def _way(problem: Problem, pose: Pose, goal: Point, steps: int) -> tuple[Float[Array, "steps ..."], Action]:
+    """Poses on the way to a goal, and the first action."""
+    agent = problem.agent
+
+    def step(pose, _):
+        action = steer(agent, problem.tau, agent.space.to_body(pose, goal), 0.0)
+        after = problem.move(pose, action, None, jnp.zeros(0, bool))
+        return after, (after, action)
+
+    poses, actions = jax.lax.scan(step, pose, None, steps)[1]
+    return poses, actions[0]
+
+
+def errors_ahead(problem: Problem, observation: Observation, steps: int) -> Errors:
+    """Errors of tracks that move on without a look, or after one in the first of the steps."""
+    motion, sensor = problem.motion, problem.sensor
+    covariance = inverse_spd(observation.information)
+    after = inverse_spd(symmetrise(observation.information + sensor.information(sensor.V)))
+
+    def of(covariance: Float[Array, "n n_y n_y"]) -> Float[Array, " n"]:
+        return jnp.trace(multiply(multiply(motion.Z, covariance), motion.Z.T), axis1=-2, axis2=-1)
+
+    def step(carry, _):
+        unseen, seen, mean = carry
+        errors = of(unseen), of(seen), motion.position(mean)
+        ahead = [symmetrise(multiply(multiply(motion.A, P), motion.A.T) + motion.W) for P in (unseen, seen)]
+        return (*ahead, motion.advance(mean, observation.known_input)), errors
+
+    return Errors(*jax.lax.scan(step, (covariance, after, observation.mean), None, steps)[1])
+
+
+def _of_tracks(problem: Problem, observation: Observation, errors: Errors, way: Pose) -> Float[Array, " steps"]:
+    """Expected cost of the tracks after each step [targets]."""
+    model, r = problem.detections, observation.existence
+    assert model is not None, "for problems with detections"
+    assert model.cutoff is not None, "a scenario's model has it"
+    assert r is not None, "observations of detections without ids have it"
+    r, steps = jnp.where(observation.present, r, 0.0), len(errors.unseen)
+    cutoff = model.cutoff
+
+    def loss(error: Float[Array, " n"]) -> Float[Array, " n"]:
+        return 2.0 * capped(error, cutoff) / cutoff**2
+
+    def step(carry, inputs):
+        unfound, since = carry
+        pose, k, position_world = inputs
+        body = problem.agent.space.to_body(pose, position_world)
+        chance = model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1)))
+        looks = problem.sees(pose, position_world)
+        unfound = jnp.where(looks, unfound * (1.0 - chance), unfound)
+        since = jnp.where(looks, 0, jnp.minimum(since + 1, steps - 1))
+        unseen = jnp.where(r > model.confirm, r * loss(errors.unseen[k]) + 1.0 - r, r)
+        seen = r * loss(jnp.take_along_axis(errors.seen, since[None], axis=0)[0])
+        return (unfound, since), jnp.sum(unfound * unseen + (1.0 - unfound) * seen)
+
+    begin = jnp.ones_like(r), jnp.zeros(r.shape, int)
+    return jax.lax.scan(step, begin, (way, jnp.arange(steps), errors.position_world))[1]
+
+
+def _of_undetected(problem: Problem, observation: Observation, way: Pose) -> Float[Array, " steps"]:
+    """Expected number of undetected targets after each step."""
+    model, cells = detections_of(problem, observation)
+    most = CELLS[len(model.grid.shape)]
+    found, births = (undetected_of(model, each, most) for each in (cells, model.births))
+    coarse: DetectionModel = replace(model, grid=found.grid)
+
+    def step(left, pose):
+        left = left * (1.0 - cell_detection(problem, coarse, pose).reshape(-1))
+        return left + births.number, jnp.sum(left)
+
+    return jax.lax.scan(step, found.number, way)[1]
