@@ -45,7 +45,8 @@ def test_a_place_behind_a_wall_unfolds_to_the_length_of_the_way():
     towards = problem.agent.space.to_world(pose, way.points_body[1:])[0] - pose[:2]
     assert float(jnp.arctan2(towards[1], towards[0])) < -0.7
     assert float(way.rest[0]) == 0.5
-    assert 0.0 < float(way.rest[1]) < expected - 3.0
+    # It stops at a bend beside the wall.
+    assert 0.0 < float(way.rest[1]) < expected - 2.5
 
 
 def test_without_obstacles_steering_is_the_steering_law():
