@@ -54,7 +54,7 @@ def test_ranges_and_lines_of_sight_are_those_of_shapely(observation):
 
 
 def test_the_first_mode_aims_along_the_way(observation):
-    aim = tokens_of(observation, "mean", True, RAYS).aim
+    aim = tokens_of(observation, "mean", True, rays=RAYS).aim
     problem, action = (
         SCENARIO.problem(),
         jax.vmap(lambda place: steer_to(SCENARIO.problem(), jnp.asarray(POSE), place, 2.0)),
@@ -72,12 +72,12 @@ def test_what_an_observation_says_replaces_the_map(observation):
     away = jnp.linalg.norm(there - POSE[:2], axis=-1)
     free = jnp.ones(4, bool)
     said = Surroundings(jnp.full(RAYS, RANGE_DEPTHS * 4.0), there, away, free, free)
-    told = tokens_of(replace(observation, surroundings=said), "mean", True, RAYS)
+    told = tokens_of(replace(observation, surroundings=said), "mean", True, rays=RAYS)
     bare = replace(observation, robot=replace(observation.robot, problem=replace(SCENARIO.problem(), obstacles=None)))
-    open_world = tokens_of(bare, "mean", True, RAYS)
+    open_world = tokens_of(bare, "mean", True, rays=RAYS)
     np.testing.assert_allclose(told.features, open_world.features, atol=1e-6)
     np.testing.assert_allclose(told.aim, open_world.aim, atol=1e-6)
-    assert np.abs(np.asarray(told.features - tokens_of(observation, "mean", True, RAYS).features)).max() > 0.1
+    assert np.abs(np.asarray(told.features - tokens_of(observation, "mean", True, rays=RAYS).features)).max() > 0.1
 
 
 def test_a_policy_decides_among_obstacles_and_in_the_open(observation):

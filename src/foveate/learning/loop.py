@@ -104,7 +104,7 @@ def _decisions(experiment: Experiment) -> float:
     """Expected decisions of an iteration."""
     training = experiment.training
     if isinstance(training, ActorCriticSettings):
-        return float(sum(training.decisions(world.scenes) for world in worlds_of(experiment)))
+        return float(sum(training.decisions(world.scenes, world.agents) for world in worlds_of(experiment)))
     assert isinstance(training, TrainingSettings), "PPO of Stable-Baselines3 has its own loop"
     return training.episodes * experiment.scenario.scenes.mean_horizon
 

@@ -24,6 +24,7 @@ from foveate.models.robot import Robot
 from foveate.names import Objective
 from foveate.policies.steering import steer, steps_to_view, view_sizes, view_units
 from foveate.policies.surroundings import place_features, ways_of, ways_size
+from foveate.policies.team_tokens import TEAM_FEATURES, team_tokens
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
@@ -41,19 +42,24 @@ class Tokens(NamedTuple):
     """Features of each target, the steering law's action towards it, and the measures of the heuristics.
 
     `urgency` are log det of the information [nat], and the steps until the target is in view, on which the first
-    preference among targets is based; `unit` is one view in each axis's action (`view_units`). Actions have a number
-    for every axis of the twist, 0 for those that the robot lacks.
+    preference among targets is based, in a team also 1 for targets of others; `unit` is one view in each axis's action
+    (`view_units`). Actions have a number for every axis of the twist, 0 for those that the robot lacks.
     """
 
     features: Float[Array, "n features"]
     aim: Float[Array, "n n_u"]
-    urgency: Float[Array, "n 2"]
+    urgency: Float[Array, "n measures"]
     unit: Float[Array, " n_u"]
     present: Bool[Array, " n"]
 
 
-def tokens_of(observation: Observation, objective: Objective, tells_time: bool, rays: int = 0) -> Tokens:
-    """The tokens of an observation; without `tells_time` as if there were no end, without `rays` as if in the open."""
+def tokens_of(
+    observation: Observation, objective: Objective, tells_time: bool, tells_team: bool = False, rays: int = 0
+) -> Tokens:
+    """The tokens of an observation; without `tells_time` as if there were no end, without `rays` as if in the open.
+
+    `tells_team`: of a team's robot.
+    """
     robot = observation.robot
     if robot is None:
         raise InputError("observation.robot = None: expected the robot, which this policy asks for")
@@ -77,14 +83,17 @@ def tokens_of(observation: Observation, objective: Objective, tells_time: bool, 
         jnp.stack([gain, log_det - log_det_spd(ahead), _relative(log_det, present)], axis=-1) / 4.0,
         _crowd(position_body / depth, gain, present),
     ]
+    urgency = [log_det, jnp.sum(steps, axis=-1)]
+    if tells_team:
+        team = team_tokens(observation, problem, motion.position(observation.mean), depth)
+        own, urgency = [*own, team.features], [*urgency, team.not_own]
     task = [jnp.array([objective == "mean", objective == "seen"], depth.dtype)]
     common = jnp.concatenate(
         [_scene(observation, tells_time), *task, _robot_features(robot), _region_features(observation, problem, depth)]
     )
     features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common))), *around], axis=-1)
-    urgency = jnp.stack([log_det, jnp.sum(steps, axis=-1)], axis=-1)
     aim, unit = (_whole(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
-    return Tokens(jnp.where(present[:, None], features, 0.0), aim, urgency, unit, present)
+    return Tokens(jnp.where(present[:, None], features, 0.0), aim, jnp.stack(urgency, axis=-1), unit, present)
 
 
 def padded(tokens: Tokens, targets: int) -> Tokens:
@@ -110,6 +119,7 @@ def token_size(problem: Problem, rays: int = 0) -> int:
     require(problem.motion.begins_with_position, "policy.kind", "pointer", right)
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
+    own += 0 if problem.team is None else TEAM_FEATURES
     return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d + ways_size(d, rays)
 
 
