@@ -44,6 +44,9 @@ OTHERS_LOG_WEIGHT = 8.0
 LARGEST_CORRECTION = 2.0
 """Largest correction of an aimed action: the whole range of an axis."""
 
+MAX_RAYS = 256
+"""Most rays of a policy."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PointerSettings(Settings):
@@ -69,6 +72,9 @@ class PointerSettings(Settings):
     modes: int = 2
     tells_time: bool | None = None
     begin_with: str | None = None
+    rays: int = 0
+    """Number of rays along which it is told free ranges. With any it is also told the ways around obstacles, and aims
+    along them; 0: it knows of no obstacles."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,6 +83,7 @@ class PointerSettings(Settings):
             require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
         for name in ("heads", "modes", "mode_width"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        require(0 <= self.rays <= MAX_RAYS, "rays", self.rays, f"expected 0 to {MAX_RAYS}")
 
     def policy(
         self,
@@ -91,7 +98,7 @@ class PointerSettings(Settings):
         """
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (token_size(problem), *self.target_widths),
+            (token_size(problem, self.rays), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
             (embedding, self.mode_width),
@@ -102,7 +109,7 @@ class PointerSettings(Settings):
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
-        weight = jnp.where(untold(problem, (objective, *others), tells_time), 0.0, target[0].weight)
+        weight = jnp.where(untold(problem, (objective, *others), tells_time, self.rays), 0.0, target[0].weight)
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
         mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
@@ -110,7 +117,8 @@ class PointerSettings(Settings):
         layers = (encoder, context_layers, by_target, by_context, mode, idle)
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
-        return PointerPolicy(*layers, jnp.array(preference), self.modes, objective, tells_time, tells_team)
+        told = objective, tells_time, tells_team, self.rays
+        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told)
 
 
 class SetEncoder(eqx.Module):
@@ -151,6 +159,7 @@ class PointerPolicy(Policy):
     objective: Objective = eqx.field(static=True)
     tells_time: bool = eqx.field(static=True)
     tells_team: bool = eqx.field(static=True, default=False)
+    rays: int = eqx.field(static=True, default=0)
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
@@ -173,7 +182,7 @@ class PointerPolicy(Policy):
 
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
-        return tokens_of(observation, self.objective, self.tells_time, self.tells_team)
+        return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
 
     def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""
