@@ -115,11 +115,12 @@ def test_a_trained_preset_has_its_recorded_score_and_decides_as_the_simulation(p
     record = json.loads((TRAINED / preset / "record.json").read_text(encoding="utf-8"))
     assert script["scores"](suite, trace) == pytest.approx(record["scores"], abs=0.01)
     policy, K, n = foveate.load(preset), suite.scenes[0].horizon, len(suite.scenes[0].targets)
+    number = None if policy.problem.obstacles is None else suite.scenes[0].map
     control, commands = policy.problem.agent.control, []
     for k in range(0, K, 3):
         now = foveate.Belief(trace.mean[0, k, :n], information=trace.information[0, k, :n])
         coming = policy.predict(now, suite.episodes.inputs[0, k, :n], k)
-        commands.append(policy(coming, trace.pose[0, k], K - k))
+        commands.append(policy(coming, trace.pose[0, k], K - k, map_number=number))
         np.testing.assert_allclose(commands[-1], control(jnp.asarray(trace.action[0, k])), rtol=0, atol=1e-6)
     assert (np.ptp(commands, axis=0) > 1e-3).all(), "decisions must differ, or nothing was compared"
     assert len(policy.axes) == commands[0].size

@@ -21,21 +21,27 @@ SCENARIO = foveate.Scenario(scenes=foveate.SceneSettings(targets_min=2, targets_
 NOW = foveate.Belief([[3.0, 1.0], [-2.0, 4.0]], covariance=[0.2 * np.eye(2), 1.5 * np.eye(2)])
 
 
-def check_as_simulated(policy: foveate.RobotPolicy, seed: int = 3) -> None:
-    """Compare commands on the beliefs of an episode, with its known inputs, with those of the episode, twice."""
+def check_as_simulated(policy: foveate.RobotPolicy, seed: int = 3) -> int | None:
+    """Compare commands on the beliefs of an episode, with its known inputs, with those of the episode, twice.
+
+    Returns the number of its map.
+    """
     problem, key = policy.problem, jax.random.key(seed)
     episode = training_episode(problem, policy.scenario.scenes, key, True)
     trace = jax.jit(lambda episode, key: rollout(problem, policy.network, episode, TRUE, key))(
         episode, jax.random.key(policy.seed)
     )
     expected = np.asarray(jax.vmap(problem.agent.control)(trace.action))
+    number = None if episode.map_number is None else int(episode.map_number)
     for _ in range(2):
         for k, right in enumerate(expected):
             now = foveate.Belief(trace.mean[k], information=trace.information[k], present=trace.present[k])
             coming = policy.predict(now, episode.inputs[k], k)
-            np.testing.assert_allclose(policy(coming, trace.pose[k], len(expected) - k), right, rtol=0, atol=1e-5)
+            command = policy(coming, trace.pose[k], len(expected) - k, map_number=number)
+            np.testing.assert_allclose(command, right, rtol=0, atol=1e-5)
         policy.reset()
     assert policy.name == "still" or np.ptp(expected, axis=0).max() > 1e-3, "decisions must differ"
+    return number
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
@@ -135,3 +141,15 @@ def test_the_box_is_that_of_the_sweep():
 def test_errors_name_the_argument(call, complaint: str):
     with pytest.raises(foveate.InputError, match=complaint):
         call()
+
+
+def test_a_decision_is_in_the_map_of_the_robot():
+    rooms = foveate.RoomObstacles(maps=4, test_maps=0)
+    scenes = replace(SCENARIO.scenes, centre_m=(8.0, 8.0), half_side_per_target_m=0.0, half_side_m=(6.0, 6.0))
+    policy = foveate.heuristic("nearest", replace(SCENARIO, obstacles=rooms, scenes=scenes))
+    assert check_as_simulated(policy) != 0, "the first map is that of a policy that is not told"
+    for wrong in (4, -1):
+        with pytest.raises(foveate.InputError, match=f"map_number = {wrong}: expected 0 to 3, a map of the scenario"):
+            policy(NOW, [8.0, 8.0, 0.0], map_number=wrong)
+    with pytest.raises(foveate.InputError, match="map_number = 0: expected None without obstacles"):
+        foveate.heuristic("nearest", SCENARIO)(NOW, [0.0, 0.0, 0.0], map_number=0)

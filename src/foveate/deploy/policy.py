@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from foveate.evaluation.verdict import Verdict, write_verdict
 from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.resolve import NamedPolicy, in_scenario, told
 from foveate.experiment.run_folder import BEST
+from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import Objective, ProtocolName
 from foveate.scenario.rows import MAX_LENGTH
@@ -103,7 +105,13 @@ class RobotPolicy(NamedPolicy):
         return predicted(belief, self.problem, known_input, step)
 
     def __call__(
-        self, belief: Belief, pose: ArrayLike, steps_left: int | None = None, *, quaternion: QuaternionOrder = "wxyz"
+        self,
+        belief: Belief,
+        pose: ArrayLike,
+        steps_left: int | None = None,
+        *,
+        quaternion: QuaternionOrder = "wxyz",
+        map_number: int | None = None,
     ) -> Float[np.ndarray, " m"]:
         """Decide on a command: the numbers that `axes` names [m/s, rad/s]; for a differential drive, [v, w].
 
@@ -111,20 +119,29 @@ class RobotPolicy(NamedPolicy):
         of targets, none included. `pose` is the current one: [x, y, yaw], or in space the 4 x 4 matrix from body to
         world, or [x, y, z, qw, qx, qy, qz] (m, rad), also in the plane; ROS gives [x, y, z, qx, qy, qz, qw], which is
         another pose: say `quaternion="xyzw"`. `steps_left` until the end include the coming one; by default they
-        are those in the middle of an episode. Targets beyond 1e9 m, or of extreme variances, are left out: no number of
+        are those in the middle of an episode. `map_number` is that of the robot's map among those of the scenario;
+        None: the first. Targets beyond 1e9 m, or of extreme variances, are left out: no number of
         theirs may spoil the command for the others. Warns where the belief was predicted over a step of another length
-        than the policy was trained for. Raises InputError for a pose or belief that does not fit the scenario.
+        than the policy was trained for. Raises InputError for a pose, belief or map that does not fit the scenario.
         """
         check_belief(belief)
         left = whole_steps("steps_left", self.steps_left if steps_left is None else steps_left, 1)
         size = max(LEAST_PADDING, 1 << (len(belief.mean) - 1).bit_length())
         here = checked_pose(pose, self.scenario.dimension, quaternion)
         self._warn_of_period(belief)
-        observed = observation(_without_extremes(belief), self.problem, here, left, size)
+        observed = observation(_without_extremes(belief), self._in_map(map_number), here, left, size)
         command = self._decider.command(observed)
         if not np.isfinite(command).all():
             raise InputError("belief, pose: expected numbers that float32 can hold, also squared")
         return command
+
+    def _in_map(self, number: int | None) -> Problem:
+        if number is None:
+            return self.problem
+        maps = 0 if self.problem.obstacles is None else self.problem.obstacles.grid.maps
+        right = f"expected 0 to {maps - 1}, a map of the scenario" if maps else "expected None without obstacles"
+        require(isinstance(number, int) and 0 <= number < maps, "map_number", number, right)
+        return self.problem.of_map(jnp.asarray(number))
 
     def _warn_of_period(self, belief: Belief) -> None:
         lengths = self.scenario.schedule.tau_s or (self.scenario.tau_s,)
