@@ -24,6 +24,7 @@ from foveate.policies.tokens import Tokens
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import Episode, Protocol, State, observe, per_target
 from foveate.simulation.rollout import Outcome, simulate
+from foveate.simulation.scans import expected
 from foveate.simulation.step import predict, start
 from foveate.types import Count, Key, Scalar
 
@@ -101,6 +102,7 @@ def cut(episode: Episode, first: Count, steps: int) -> Episode:
         inputs=whole(episode.inputs),
         truth=jax.tree.map(whole, episode.truth),
         arrivals=jax.tree.map(whole, episode.arrivals),
+        scans=jax.tree.map(whole, episode.scans),
     )
     assert episode.truth is not None, "training episodes are noisy"
     truth = replace(
@@ -108,8 +110,10 @@ def cut(episode: Episode, first: Count, steps: int) -> Episode:
         state=part(episode.truth.state, 1),
         measurement_noise=part(episode.truth.measurement_noise),
     )
-    arrivals = jax.tree.map(lambda x: part(x, 1), episode.arrivals)
-    return replace(episode, inputs=part(episode.inputs, 1), truth=truth, arrivals=arrivals)
+    arrivals, scans = jax.tree.map(lambda x: part(x, 1), episode.arrivals), episode.scans
+    if scans is not None:
+        scans = replace(jax.tree.map(part, scans), alive=part(scans.alive, 1))
+    return replace(episode, inputs=part(episode.inputs, 1), truth=truth, arrivals=arrivals, scans=scans)
 
 
 def log_density(modes: Modes, action: Float[Array, " n_u"], action_std: Float[Array, " n_u"]) -> Scalar:
@@ -155,16 +159,21 @@ def play(
         return command(observation, action), memory, (tokens, action, log_density(modes, action, std))
 
     def record(done: Outcome):
-        return done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured, done.state
+        log_det = jnp.mean(log_det_spd(done.state.information), axis=0)
+        return done.notes, log_det, done.measured, expected(here, done.state).get("expected_gospa"), done.state
 
-    notes, log_det, visible, states = simulate(problem, decide, episode, protocol, key, record, state=state)
+    here = problem.of_map(episode.map_number)
+    notes, log_det, visible, gospa, states = simulate(problem, decide, episode, protocol, key, record, state=state)
     tokens, action, density = notes
     last: State = jax.tree.map(lambda x: x[-1], states)
     predicted = predict(problem, last, following)
-    after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(problem.of_map(episode.map_number))))
+    after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(here)))
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.information), axis=0), state.present)
-    reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    if gospa is None:
+        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    else:
+        reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
     step = state.step + jnp.arange(len(reward))
     counts = step < ends
     reward = jnp.where(counts, reward, 0.0)

@@ -86,9 +86,10 @@ class PointerSettings(Settings):
 
         `others` are further objectives of its training, as in worlds of random robots.
         """
+        searches = problem.detections is not None
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (token_size(problem), *self.target_widths),
+            (token_size(problem, searches), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
             (embedding, self.mode_width),
@@ -99,13 +100,13 @@ class PointerSettings(Settings):
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
-        weight = jnp.where(untold(problem, (objective, *others), tells_time), 0.0, target[0].weight)
+        weight = jnp.where(untold(problem, (objective, *others), tells_time, searches), 0.0, target[0].weight)
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
         mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
         encoder = SetEncoder(target, query)
         layers = (encoder, context_layers, by_target, by_context, mode, idle)
-        return PointerPolicy(*layers, jnp.array(PREFERENCE), self.modes, objective, tells_time)
+        return PointerPolicy(*layers, jnp.array(PREFERENCE), self.modes, objective, tells_time, searches)
 
 
 class SetEncoder(eqx.Module):
@@ -145,10 +146,11 @@ class PointerPolicy(Policy):
     per_target: int = eqx.field(static=True)
     objective: Objective = eqx.field(static=True)
     tells_time: bool = eqx.field(static=True)
+    searches: bool = eqx.field(static=True, default=False)
 
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
-        return tokens_of(observation, self.objective, self.tells_time)
+        return tokens_of(observation, self.objective, self.tells_time, self.searches)
 
     def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""

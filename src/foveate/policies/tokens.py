@@ -22,6 +22,7 @@ from foveate.models.belief import predict_information
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
+from foveate.policies.places import FEATURES, PREFERENCE, with_places
 from foveate.policies.steering import steer, steps_to_view, view_sizes, view_units
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
@@ -54,11 +55,16 @@ class Tokens(NamedTuple):
     present: Bool[Array, " n"]
 
 
-def tokens_of(observation: Observation, objective: Objective, tells_time: bool) -> Tokens:
-    """The tokens of an observation; without `tells_time` as if there were no end."""
+def tokens_of(observation: Observation, objective: Objective, tells_time: bool, searches: bool = False) -> Tokens:
+    """The tokens of an observation; without `tells_time` as if there were no end.
+
+    One that `searches` is told of places where undetected targets are expected, too (`policies.places`).
+    """
     robot = observation.robot
     if robot is None:
         raise InputError("observation.robot = None: expected the robot, which this policy asks for")
+    searched = with_places(robot.problem, observation) if searches else None
+    observation = observation if searched is None else searched.observation
     problem, extent, present = robot.problem, robot.extent, observation.present
     agent, motion, depth = problem.agent, problem.motion, extent.ahead_m
     # Padding may hold anything: a usual belief, in a corner ahead, keeps its numbers finite.
@@ -82,8 +88,11 @@ def tokens_of(observation: Observation, objective: Objective, tells_time: bool) 
     common = jnp.concatenate(
         [_scene(observation, tells_time), *task, _robot_features(robot), _region_features(observation, problem, depth)]
     )
-    features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common)))], axis=-1)
+    first = [] if searched is None else [searched.features]
+    features = jnp.concatenate([*first, *own, jnp.broadcast_to(common, (present.shape[0], len(common)))], axis=-1)
     urgency = jnp.stack([log_det, jnp.sum(steps, axis=-1)], axis=-1)
+    if searched is not None:  # what a look is worth already has the price of the way
+        urgency = jnp.stack([-PREFERENCE * searched.log_worth, jnp.zeros_like(log_det)], axis=-1)
     aim, unit = (_whole(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
     return Tokens(jnp.where(present[:, None], features, 0.0), aim, urgency, unit, present)
 
@@ -100,18 +109,23 @@ def padded(tokens: Tokens, targets: int) -> Tokens:
     return tokens._replace(**{name: more(getattr(tokens, name), axes) for name, axes in parts.items()})
 
 
-def token_size(problem: Problem) -> int:
-    """Number of features of a token. Raises InputError where a state does not begin with the position."""
+def token_size(problem: Problem, searches: bool = False) -> int:
+    """Number of features of a token, of a network that `searches` or not.
+
+    Raises InputError where a state does not begin with the position.
+    """
     d, axes = problem.agent.space.dimension, problem.agent.space.twist_size
     shape = f"({d} x {problem.motion.state_size})"
     right = f"expected targets whose state begins with the position, Z = [I 0] {shape}"
     require(problem.motion.begins_with_position, "policy.kind", "pointer", right)
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
-    return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d
+    return FEATURES * searches + own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d
 
 
-def untold(problem: Problem, objectives: Collection[Objective], tells_time: bool) -> Bool[np.ndarray, " features"]:
+def untold(
+    problem: Problem, objectives: Collection[Objective], tells_time: bool, searches: bool = False
+) -> Bool[np.ndarray, " features"]:
     """Features that are 0 throughout a training for these objectives: the end, other tasks, borders of a region.
 
     A region counts as untold even where there is one, so that all trainings begin alike.
@@ -119,7 +133,7 @@ def untold(problem: Problem, objectives: Collection[Objective], tells_time: bool
     after_tasks = 2 * problem.agent.space.twist_size + 4
     told = [tells_time] * len(TIMES_LEFT) + [task in objectives for task in ("mean", "seen")] + [True] * after_tasks
     tail = np.array([*told, *[False] * (2 * problem.agent.space.dimension)])
-    return ~np.concatenate([np.ones(token_size(problem) - len(tail), bool), tail])
+    return ~np.concatenate([np.ones(token_size(problem, searches) - len(tail), bool), tail])
 
 
 def _whole(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]:
