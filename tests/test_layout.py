@@ -69,6 +69,8 @@ TESTED_ELSEWHERE = {
     },
     "models.robot": "policies/test_tokens.py",
     "models.team": "scenario/test_team.py",
+    "learning.windows": "learning/test_trajectories.py",
+    "policies.team_tokens": "learning/test_team_play.py",
     **{f"simulation.team.{name}": "simulation/team/test_rollout.py" for name in ("radio", "records", "step", "window")},
     **dict.fromkeys(("scenario.rows", "simulation.team.starts"), "scenario/test_team.py"),
     **dict.fromkeys(("experiment.experiment", "experiment.learners"), "experiment/test_presets.py"),

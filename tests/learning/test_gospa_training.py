@@ -13,7 +13,7 @@ from foveate.errors import InputError
 from foveate.evaluation.verdict import read_verdict
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
-from foveate.learning.trajectories import cut
+from foveate.learning.windows import cut
 from foveate.names import HEURISTICS, SEARCHERS
 from foveate.policies.pointer import PointerSettings
 from foveate.simulation.episodes import training_episode

@@ -11,19 +11,8 @@ from helpers.episodes import training_episode
 from scipy.stats import multivariate_normal
 
 from foveate.experiment.learners import ActorCriticSettings
-from foveate.learning.trajectories import (
-    Ongoing,
-    Trajectory,
-    advantages,
-    begin_ongoing,
-    continued,
-    cut,
-    log_density,
-    play,
-    plays_whole,
-    rewards,
-    window_steps,
-)
+from foveate.learning.trajectories import Trajectory, advantages, log_density, play, rewards
+from foveate.learning.windows import Ongoing, begin_ongoing, continued, cut, plays_whole, window_steps
 from foveate.learning.worlds import World
 from foveate.policies.pointer import Modes, PointerSettings
 from foveate.scenario.scenario import Scenario

@@ -14,6 +14,7 @@ from foveate.io.jax_settings import quick_compilation
 from foveate.models.belief import predict_information, update_information
 from foveate.models.precision import _Motion, _unseen, rounding_error, rounds_alike, warn_of_rounding
 from foveate.scenario.scenario import Scenario
+from foveate.scenario.sensor import SensorSettings
 from foveate.scenario.target import AccelerationTarget, DriftTarget, LinearTarget, VelocityTarget
 
 
@@ -104,6 +105,40 @@ def test_one_line_says_it_and_what_to_do(steps, said, caplog):
 
 def test_float64_has_enough():
     assert rounding_error(in_precision(True, Scenario(target=AccelerationTarget())), 2000)[0] < 1e-5
+
+
+RANGE, BEARING, ELEVATION = {"std_range_m": 0.3}, {"std_bearing_rad": 0.05}, {"std_elevation_rad": 0.05}
+
+
+@pytest.mark.parametrize(
+    ("measures", "stds", "preset"),
+    [
+        ("range-bearing", RANGE | BEARING, "paper"),
+        ("bearing", BEARING, "paper"),
+        ("range", RANGE, "paper"),
+        ("range", RANGE, "quadrotor"),
+        ("azimuth-elevation-range", RANGE | BEARING | ELEVATION, "quadrotor"),
+        ("azimuth-elevation", BEARING | ELEVATION, "quadrotor"),
+    ],
+)
+def test_every_sensor_has_an_estimate(measures, stds, preset):
+    scenario = PRESETS[preset].scenario
+    scenes = replace(scenario.scenes, initial_error="consistent")
+    scenario = replace(scenario, sensor=SensorSettings(measures=measures, **stds), scenes=scenes)
+    assert 0 < rounding_error(in_precision(False, scenario), 100)[0] < 0.01
+
+
+def test_a_sensor_of_range_and_bearing_counts_as_one_of_positions_in_mid_view():
+    """The paper's view is 2 m deep: at 1 m a bearing's error of 0.05 rad is one of 0.05 m to the side."""
+    scenario = Scenario(target=AccelerationTarget(jerk_m2_s5=1e-3))
+    polar = replace(
+        scenario,
+        sensor=SensorSettings(measures="range-bearing", std_range_m=0.3, std_bearing_rad=0.05),
+        scenes=replace(scenario.scenes, initial_error="consistent"),
+    )
+    position = replace(scenario, sensor=SensorSettings(V=((0.09, 0.0), (0.0, 0.0025))))
+    found, expected = (rounding_error(in_precision(False, each), 500)[0] for each in (polar, position))
+    assert found == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 7, 12, 100])

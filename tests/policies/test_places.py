@@ -33,8 +33,8 @@ def test_the_best_places_follow_the_tracks(seen):  # noqa: F811
 def test_tokens_have_the_features_in_front(seen):  # noqa: F811
     plain = tokens_of(replace(seen, undetected=None), "terminal", True)
     tokens = tokens_of(seen, "gospa", True, searches=True)
-    assert tokens.features.shape == (token_count(PROBLEM, 3), token_size(PROBLEM, searches=True))
-    assert token_size(PROBLEM, searches=True) == plain.features.shape[1] + FEATURES
+    assert tokens.features.shape == (token_count(PROBLEM, 3), token_size(PROBLEM))
+    assert token_size(PROBLEM) == plain.features.shape[1] + FEATURES
     assert token_count(replace(PROBLEM, detections=None), 3) == 3
 
 

@@ -1,5 +1,7 @@
 """Decisions of a node without ROS, against closed forms, SciPy's rotations, and the same messages in order."""
 
+import time
+
 import numpy as np
 import pytest
 from helpers.ros import PLANE, Watched, detections, odometry
@@ -34,6 +36,22 @@ def test_a_command_is_a_twist_in_the_order_of_ros():
     watched = Watched(SPACE, axes=("vx", "vy", "vz", "wz"), command=(1.0, 2.0, 3.0, 4.0))
     watched.core.on_odometry(odometry(NOW))
     assert watched.core.decide(NOW).twist == (1.0, 2.0, 3.0, 0.0, 0.0, 4.0)
+
+
+@pytest.mark.exhaustive  # it needs a quiet machine
+@pytest.mark.slow
+@pytest.mark.parametrize(("scenario", "axes"), [(PLANE, ("vx", "wz")), (SPACE, ("vx", "vy", "vz", "wz"))])
+def test_a_decision_costs_little_beyond_the_policy(scenario, axes):
+    """With 8 targets and a detection of each between decisions; the policy here takes no time."""
+    watched, times = Watched(scenario, axes=axes, command=(0.0,) * len(axes)), []
+    for now in NOW + 0.1 * np.arange(60):
+        watched.core.on_odometry(odometry(now))
+        watched.core.on_detections(detections(now - 0.05, **{f"t{i}": (2 + i, i % 3, 0) for i in range(8)}), now)
+        before_s = time.thread_time()
+        decision = watched.core.decide(now)
+        times.append(time.thread_time() - before_s)
+        assert len(decision.estimates) == 8
+    assert np.median(times) < 1e-3  # measured: 0.4 to 0.6 ms
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])

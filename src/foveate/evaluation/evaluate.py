@@ -17,7 +17,7 @@ from foveate.evaluation.rows import Row
 from foveate.evaluation.team import team_measures
 from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning.devices import cores
-from foveate.models.precision import rounds_alike, warn_of_rounding
+from foveate.models.precision import suits_quick_compilation, warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
@@ -90,9 +90,8 @@ _SIMULATE = {quick: compiled(_run, quick) for quick in (False, True)}
 
 
 def compiles_quickly(problem: Problem, policy: Policy) -> bool:
-    """True for positions in the plane and a policy that is no planner, as `compiled` and `rounds_alike` explain."""
-    is_planner = isinstance(policy, OpenLoop | Receding)
-    return problem.agent.space.dimension == 2 and rounds_alike(problem) and not is_planner
+    """True where `suits_quick_compilation`, and for a policy that is no planner, as `compiled` explains."""
+    return suits_quick_compilation(problem) and not isinstance(policy, OpenLoop | Receding)
 
 
 @jax.jit

@@ -231,17 +231,17 @@ class ActorCriticSettings(ValidationSettings):
         parts = math.ceil(longest / self.window)
         return scenes.mean_horizon if parts == 1 else float(math.ceil(longest / parts))
 
-    def trajectories(self, scenes: SceneSettings) -> int:
+    def trajectories(self, scenes: SceneSettings, agents: int = 1) -> int:
         """Episodes, or windows of them, of an iteration: equally many of each protocol in each of two shards."""
         count = 2 * len(self.protocols)
         if self.episodes is not None:
             return math.ceil(self.episodes / count) * count
         decisions = DECISIONS if self.worlds == "own" else WORLD_DECISIONS
-        return max(1, round(decisions / self._mean_window(scenes) / count)) * count
+        return max(1, round(decisions / self._mean_window(scenes) / agents / count)) * count
 
-    def decisions(self, scenes: SceneSettings) -> int:
-        """Expected decisions of an iteration."""
-        return math.ceil(self.trajectories(scenes) * self._mean_window(scenes))
+    def decisions(self, scenes: SceneSettings, agents: int = 1) -> int:
+        """Expected decisions of an iteration, those of all robots of a team."""
+        return math.ceil(self.trajectories(scenes, agents) * self._mean_window(scenes) * agents)
 
     def discount_of(self, scenes: SceneSettings) -> float:
         """The discount per step: none where episodes are played whole."""

@@ -12,8 +12,9 @@ from foveate.registration import ID, register
 
 if TYPE_CHECKING:
     from foveate.gym.envs import TrackingEnv, TrackingVectorEnv
+    from foveate.gym.parallel import TeamEnv
 
-__all__ = ["ID", "TrackingEnv", "TrackingVectorEnv"]
+__all__ = ["ID", "TeamEnv", "TrackingEnv", "TrackingVectorEnv"]
 
 register()
 
@@ -22,4 +23,4 @@ def __getattr__(name: str) -> Any:
     # Loaded when an environment is made: a server that forks workers may then import this module before.
     if name not in __all__:
         raise AttributeError(f"module 'foveate.gym' has no attribute {name!r}: it has {', '.join(__all__)}")
-    return getattr(import_module("foveate.gym.envs"), name)
+    return getattr(import_module("foveate.gym.parallel" if name == "TeamEnv" else "foveate.gym.envs"), name)

@@ -22,22 +22,23 @@ from foveate.geometry.linalg import log_det_spd
 from foveate.learning.critic import Critic, Samples, judge, moments, new_critic, rescaled, samples_of
 from foveate.learning.learner import EpochReport, Learner
 from foveate.learning.shards import over_shards
-from foveate.learning.trajectories import (
+from foveate.learning.team_play import play_team
+from foveate.learning.trajectories import Trajectory, log_density, play
+from foveate.learning.windows import (
     Ongoing,
-    Trajectory,
     begin_ongoing,
     continued,
     cut,
-    log_density,
-    play,
+    first_state,
     plays_whole,
+    step_of,
     window_steps,
 )
 from foveate.learning.worlds import World, informed, most_targets
 from foveate.policies.pointer import Modes, PointerPolicy
 from foveate.policies.tokens import token_size
 from foveate.simulation.records import Policy
-from foveate.simulation.step import start
+from foveate.simulation.team.step import TeamState
 from foveate.types import Count, Key, Scalar
 
 SHARDS = 2
@@ -55,7 +56,7 @@ def begin(worlds: Sequence[World], policy: Policy, settings: ActorCriticSettings
         least = SHARDS * settings.minibatches
         raise InputError(f"training.episodes = {settings.episodes}: expected episodes of {least} decisions in all")
     network_key, ongoing_key = jax.random.split(key)
-    critic = new_critic(token_size(worlds[0].problem, policy.searches), network_key, len(worlds))
+    critic = new_critic(token_size(worlds[0].problem), network_key, len(worlds))
     parameters = eqx.filter((policy, critic), eqx.is_inexact_array)
     keys = [ongoing_key] if len(worlds) == 1 else jax.random.split(ongoing_key, len(worlds))
     ongoing = tuple(begin_ongoing(world, settings, key) for world, key in zip(worlds, keys, strict=True))
@@ -65,7 +66,7 @@ def begin(worlds: Sequence[World], policy: Policy, settings: ActorCriticSettings
 
 def minibatch_size(worlds: Sequence[World], settings: ActorCriticSettings) -> int:
     """Decisions of a minibatch, in each of the SHARDS of a batch."""
-    return sum(settings.decisions(world.scenes) for world in worlds) // settings.minibatches // SHARDS
+    return sum(settings.decisions(world.scenes, world.agents) for world in worlds) // settings.minibatches // SHARDS
 
 
 def optimizer(settings: ActorCriticSettings) -> optax.GradientTransformation:
@@ -94,7 +95,10 @@ def gather(
     keys: Keys[Array, " trajectories"],
     ongoing: Ongoing | None,
 ) -> tuple[Trajectory, Ongoing | None]:
-    """Play as many trajectories as there are keys; return them, and the episodes in progress."""
+    """Play as many episodes as there are keys; return their trajectories, and the episodes in progress.
+
+    Of a team every robot has a trajectory of its own.
+    """
     scenes, policy = world.scenes, informed(policy, world, settings)
     length, discounted = window_steps(scenes, settings), settings.discount_of(scenes) < 1.0
     whole = plays_whole(scenes, settings)
@@ -106,15 +110,21 @@ def gather(
             scene_key, action_key = jax.random.split(key)
             problem, episode = world.drawn(scene_key if one is None else one.key)
             if one is None:
-                state, ends = start(problem, episode, protocol), episode.horizon
+                state, ends = first_state(problem, episode, protocol), episode.horizon
             else:
-                episode, state, ends = cut(episode, one.state.step, length), one.state, one.ends
-            how = (protocol, world.objective, action_std, action_key, state, ends, discounted, whole)
-            trajectory, last = play(problem, policy, episode, *how)
+                episode, state, ends = cut(episode, step_of(one.state), length), one.state, one.ends
+            what, how, until = (problem, policy, episode, protocol), (action_std, action_key), (ends, discounted, whole)
+            if isinstance(state, TeamState):
+                trajectory, last = play_team(*what, world.objective, *how, state, *until)
+            else:
+                trajectory, last = play(*what, world.objective, *how, state, *until)
             return trajectory, None if one is None else continued(world, protocol, one, last, scene_key)
 
         part = None if ongoing is None else jax.tree.map(lambda x, rows=rows: x[rows], ongoing)
-        batches.append(jax.vmap(play_one)(keys[rows], part))
+        trajectories, after = jax.vmap(play_one)(keys[rows], part)
+        if world.agents > 1:
+            trajectories = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), trajectories)
+        batches.append((trajectories, after))
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *batches)
 
 
@@ -146,7 +156,7 @@ def loss(
     ratio = jnp.exp(jnp.clip(new - rows.log_density, -20.0, 20.0))
     bounded = jnp.clip(ratio, 1.0 - settings.clip, 1.0 + settings.clip)
     gain = jnp.minimum(ratio * rows.advantage, bounded * rows.advantage)
-    error = jax.vmap(critic.normalised)(rows.tokens) - rows.value_target
+    error = jax.vmap(critic.normalised)(rows.tokens if rows.seen is None else rows.seen) - rows.value_target
     cost = 0.5 * error**2 - gain - settings.entropy_weight * choice
     return jnp.sum(jnp.where(rows.counts, cost, 0.0)) / jnp.maximum(jnp.sum(rows.counts), 1).astype(cost.dtype)
 
@@ -159,7 +169,7 @@ def epoch(
     The batch has SHARDS parts, on as many devices as there are: numbers do not depend on the number of cores.
     """
     batch_key, order_key = jax.random.split(jax.random.fold_in(key, learner.epoch))
-    counts = [settings.trajectories(world.scenes) // SHARDS for world in worlds]
+    counts = [settings.trajectories(world.scenes, world.agents) // SHARDS for world in worlds]
     keys = jax.random.split(batch_key, (SHARDS, sum(counts)))
     parts = (jax.random.key_data(keys), jax.random.key_data(jax.random.split(order_key, SHARDS)), learner.ongoing)
     arrays, static = eqx.partition(replace(learner, ongoing=None), eqx.is_array)
@@ -182,7 +192,7 @@ def _epoch_of_shards(worlds, settings, learner, parts, total):
         keys, ongoing = part
         keys, end, found = jax.random.wrap_key_data(keys), 0, []
         for i, world in enumerate(worlds):
-            first, end = end, end + settings.trajectories(world.scenes) // SHARDS
+            first, end = end, end + settings.trajectories(world.scenes, world.agents) // SHARDS
             trajectory, after = gather(world, settings, policy, action_std, keys[first:end], ongoing[i])
             judged = judge(critic, trajectory, settings, settings.discount_of(world.scenes), i)
             found.append((judged, after, score_of(world, settings, trajectory)))

@@ -61,6 +61,8 @@ class Samples(NamedTuple):
     advantage: Float[Array, " rows"]
     value_target: Float[Array, " rows"]
     counts: Bool[Array, " rows"]
+    seen: Tokens | None = None
+    """As in `Trajectory`."""
 
 
 class Judged(NamedTuple):
@@ -75,7 +77,8 @@ def judge(
     critic: Critic, trajectory: Trajectory, settings: ActorCriticSettings, discount: float, world: int = 0
 ) -> Judged:
     """Estimate advantages and returns by the critic, in the world of this number."""
-    value = jax.vmap(jax.vmap(lambda tokens: critic(tokens, world)))(trajectory.tokens)
+    seen = trajectory.tokens if trajectory.seen is None else trajectory.seen
+    value = jax.vmap(jax.vmap(lambda tokens: critic(tokens, world)))(seen)
     advantage = jax.vmap(advantages, (0, 0, None, None))(trajectory, value, discount, settings.gae_lambda)
     return Judged(trajectory, advantage, advantage + value[:, :-1])
 
@@ -106,7 +109,7 @@ def samples_of(
     Tokens are padded to this number of `targets`, if given.
     """
     trajectory = judged.trajectory
-    tokens = jax.tree.map(lambda x: x[:, :-1], trajectory.tokens)
+    tokens, seen = (jax.tree.map(lambda x: x[:, :-1], each) for each in (trajectory.tokens, trajectory.seen))
     samples = Samples(
         tokens if targets is None else padded(tokens, targets),
         trajectory.action,
@@ -114,5 +117,6 @@ def samples_of(
         (judged.advantage - mean) / (std + 1e-8),
         (judged.target - critic.mean[world]) / critic.std[world],
         trajectory.counts,
+        seen,
     )
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)

@@ -23,7 +23,7 @@ from foveate.learning.shards import devices_for
 from foveate.learning.tensorboard import Events
 from foveate.learning.validation import OnValidation, held_out_episodes, no_report, validate
 from foveate.learning.worlds import worlds_of
-from foveate.models.precision import rounds_alike
+from foveate.models.precision import suits_quick_compilation
 from foveate.policies.pointer import PointerPolicy
 from foveate.simulation.records import Policy
 from foveate.types import Count, Key
@@ -50,7 +50,7 @@ def train(
         raise InputError(f"training.algorithm = {training.algorithm!r}: expected one of a JAX learner")
     policy_key, scenes_key, training_key, validation_key = jax.random.split(jax.random.key(seed), 4)
     episodes = held_out_episodes(experiment, scenes_key)
-    quick = experiment.scenario.dimension == 2 and rounds_alike(experiment.scenario.problem())
+    quick = suits_quick_compilation(experiment.scenario.problem())
     score_of = compiled(lambda policy, episodes, key: validate(experiment, policy, episodes, key), quick)
     policy = first_policy(experiment, policy_key)
     if not resume and isinstance(policy, PointerPolicy) and not experiment.begins_with:
@@ -104,7 +104,7 @@ def _decisions(experiment: Experiment) -> float:
     """Expected decisions of an iteration."""
     training = experiment.training
     if isinstance(training, ActorCriticSettings):
-        return float(sum(training.decisions(world.scenes) for world in worlds_of(experiment)))
+        return float(sum(training.decisions(world.scenes, world.agents) for world in worlds_of(experiment)))
     assert isinstance(training, TrainingSettings), "PPO of Stable-Baselines3 has its own loop"
     return training.episodes * experiment.scenario.scenes.mean_horizon
 
@@ -152,5 +152,5 @@ def advance_of(experiment: Experiment) -> Callable:
     if not isinstance(training, TrainingSettings):
         return on_all_devices(jax.jit(epochs), devices_for(actor_critic.SHARDS))
     devices = schedule(policy_gradient.shares(training, scenes)).devices
-    options = PLANAR_COMPILER_OPTIONS if problem.agent.space.dimension == 2 and rounds_alike(problem) else {}
+    options = PLANAR_COMPILER_OPTIONS if suits_quick_compilation(problem) else {}
     return on_all_devices(jax.jit(epochs, compiler_options=options), devices)

@@ -19,6 +19,7 @@ They lead from the most uncertain target to the nearest.
 
 def best_preference(policy: PointerPolicy, score_of: Callable[[Policy], jax.Array]) -> PointerPolicy:
     """The untrained policy with the preference of the highest score."""
-    candidates = [replace(policy, preference=jnp.array(each)) for each in PREFERENCES]
+    first = policy.preference  # in a team with a third number, which stays
+    candidates = [replace(policy, preference=first.at[:2].set(jnp.array(each))) for each in PREFERENCES]
     scores = from_first_process(*(float(score_of(each)) for each in candidates))
     return candidates[scores.index(max(scores))]

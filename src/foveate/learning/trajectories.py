@@ -1,46 +1,27 @@
 """Trajectories of the actor-critic: windows of full noisy episodes, with their rewards and advantages.
 
-Short episodes are played whole, new ones in every iteration. Long ones are played by windows, each from the state that
-the policy has reached in the window before, with the critic's value of what comes after.
+Those of windows have the critic's value of what comes after.
 """
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Array, Bool, Float
 
-from foveate.experiment.learners import ActorCriticSettings, Objective
+from foveate.experiment.learners import Objective
 from foveate.geometry.linalg import log_det_spd
 from foveate.learning.learner import step_scores
-from foveate.learning.worlds import World
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.policies.pointer import Modes, PointerPolicy, command
 from foveate.policies.tokens import Tokens
-from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import Episode, Protocol, State, observe, per_target
 from foveate.simulation.rollout import Outcome, simulate
 from foveate.simulation.scans import expected
-from foveate.simulation.step import predict, start
+from foveate.simulation.step import predict
 from foveate.types import Count, Key, Scalar
-
-
-class Ongoing(eqx.Module):
-    """Episodes in progress: the key that an episode is made of, and the state that the policy has reached in it."""
-
-    key_data: UInt32[Array, "*b words"]
-    state: State
-    ends: Count
-    """Step at which the episode ends; for the first ones earlier than their horizon, so that not all end at once."""
-
-    @property
-    def key(self) -> Key:
-        """The key of one episode."""
-        return jax.random.wrap_key_data(self.key_data)
 
 
 class Trajectory(NamedTuple):
@@ -55,65 +36,8 @@ class Trajectory(NamedTuple):
     reward: Float[Array, " K"]
     counts: Bool[Array, " K"]
     ends: Bool[Array, " K"]
-
-
-def window_steps(scenes: SceneSettings, settings: ActorCriticSettings) -> int:
-    """Steps of a window: those of the longest episode, or an equal part of them of at most `settings.window` steps."""
-    longest = scenes.horizon(scenes.targets_max)
-    return math.ceil(longest / math.ceil(longest / settings.window))
-
-
-def plays_whole(scenes: SceneSettings, settings: ActorCriticSettings) -> bool:
-    """True if every episode fits into a window."""
-    return window_steps(scenes, settings) == scenes.horizon(scenes.targets_max)
-
-
-def begin_ongoing(world: World, settings: ActorCriticSettings, key: Key) -> Ongoing | None:
-    """The first episodes of a training by windows; None where episodes are played whole."""
-    scenes = world.scenes
-    if plays_whole(scenes, settings):
-        return None
-    length, count = window_steps(scenes, settings), settings.trajectories(scenes)
-    keys = jax.random.split(key, count)
-    parts = math.ceil(scenes.horizon(scenes.targets_max) / length)
-
-    def begin(key, i):
-        problem, episode = world.drawn(key)
-        ends = jnp.minimum(episode.horizon, (1 + i % parts) * length)
-        return Ongoing(jax.random.key_data(key), start(problem, episode, settings.protocol_of(0)), ends)
-
-    return jax.jit(jax.vmap(begin))(keys, jnp.arange(count))
-
-
-def cut(episode: Episode, first: Count, steps: int) -> Episode:
-    """Steps `first` .. `first` + `steps` - 1 of an episode, which are still counted from its start.
-
-    It has one more input, which the agent knows when it decides the step after them; beyond the end all is as at last.
-    """
-
-    def part(x, more: int = 0):
-        return jax.lax.dynamic_slice_in_dim(x, first, steps + more)
-
-    def whole(x):
-        return jnp.concatenate([x, jnp.repeat(x[-1:], steps, axis=0)])
-
-    episode = replace(
-        episode,
-        inputs=whole(episode.inputs),
-        truth=jax.tree.map(whole, episode.truth),
-        arrivals=jax.tree.map(whole, episode.arrivals),
-        scans=jax.tree.map(whole, episode.scans),
-    )
-    assert episode.truth is not None, "training episodes are noisy"
-    truth = replace(
-        episode.truth,
-        state=part(episode.truth.state, 1),
-        measurement_noise=part(episode.truth.measurement_noise),
-    )
-    arrivals, scans = jax.tree.map(lambda x: part(x, 1), episode.arrivals), episode.scans
-    if scans is not None:
-        scans = replace(jax.tree.map(part, scans), alive=part(scans.alive, 1))
-    return replace(episode, inputs=part(episode.inputs, 1), truth=truth, arrivals=arrivals, scans=scans)
+    seen: Tokens | None = None
+    """What a critic is told, where that is more than the tokens: those of all robots of a team, as of one set."""
 
 
 def log_density(modes: Modes, action: Float[Array, " n_u"], action_std: Float[Array, " n_u"]) -> Scalar:
@@ -145,7 +69,7 @@ def play(
     view.
     """
     assert episode.truth is not None, "training episodes are noisy"
-    following = episode.inputs[-1]
+    following, here = episode.inputs[-1], problem.of_map(episode.map_number)
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
 
     def decide(observation, memory, key):
@@ -162,7 +86,6 @@ def play(
         log_det = jnp.mean(log_det_spd(done.state.information), axis=0)
         return done.notes, log_det, done.measured, expected(here, done.state).get("expected_gospa"), done.state
 
-    here = problem.of_map(episode.map_number)
     notes, log_det, visible, gospa, states = simulate(problem, decide, episode, protocol, key, record, state=state)
     tokens, action, density = notes
     last: State = jax.tree.map(lambda x: x[-1], states)
@@ -170,9 +93,8 @@ def play(
     after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(here)))
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.information), axis=0), state.present)
-    if gospa is None:
-        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
-    else:
+    reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    if gospa is not None:
         reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
     step = state.step + jnp.arange(len(reward))
     counts = step < ends
@@ -221,12 +143,3 @@ def advantages(
 
     parts = (delta, trajectory.counts, is_last)
     return jax.lax.scan(step, jnp.zeros_like(value[0]), parts, reverse=True)[1]
-
-
-def continued(world: World, protocol: Protocol, one: Ongoing, last: State, new_key: Key) -> Ongoing:
-    """The episode where it has come to, or a new one after its end."""
-    problem, fresh = world.drawn(new_key)
-    over = last.step >= one.ends
-    after = Ongoing(one.key_data, last, one.ends)
-    begun = Ongoing(jax.random.key_data(new_key), start(problem, fresh, protocol), fresh.horizon)
-    return jax.tree.map(lambda new, old: jnp.where(over, new, old), begun, after)

@@ -38,6 +38,11 @@ class World:
     objective: Objective
     robots: RobotRanges | None = None
 
+    @property
+    def agents(self) -> int:
+        """Robots of an episode."""
+        return 1 if self.problem.team is None else self.problem.team.agents
+
     def drawn(self, key: Key, test: bool = False) -> tuple[Problem, Episode]:
         """The robot and the noisy episode of a key; `test` as in `draw`."""
         problem = self.problem

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from foveate.io.progress import logger
+from foveate.models.polar import jacobian, noise
 from foveate.models.problem import Problem
 
 TOLERATED_NAT = 0.05
@@ -41,6 +42,11 @@ def rounds_alike(problem: Problem) -> bool:
     return motion.state_size == motion.dimension or motion.is_reversible
 
 
+def suits_quick_compilation(problem: Problem) -> bool:
+    """True for a problem in the plane whose filter `rounds_alike`; in space the programs would run for longer."""
+    return problem.agent.space.dimension == 2 and rounds_alike(problem)
+
+
 def warn_of_rounding(problem: Problem, steps: int) -> None:
     """Log a warning if beliefs about targets unseen for up to `steps` lose digits that matter in this precision."""
     lost_nat, unseen = rounding_error(problem, steps)
@@ -65,9 +71,9 @@ def rounding_error(problem: Problem, steps: int) -> tuple[float, int]:
     Returns:
         Error [nat], infinite where the condition is beyond float64, and the number of steps unseen.
     """
-    period, H = problem.period, np.asarray(problem.sensor.H, float)
+    period = problem.period
     motions = [_Motion(*map(np.asarray, each)) for each in zip(*_floats(period.motion.A, period.motion.W), strict=True)]
-    noises = _floats(period.V)[0]
+    H, noises = _measured(problem, *_floats(period.V))
     first = np.linalg.inv(np.asarray(problem.prior_information, float))
     resolution = float(np.finfo(np.asarray(problem.motion.A).dtype).eps)
     worst = 0.0, 0
@@ -80,6 +86,16 @@ def rounding_error(problem: Problem, steps: int) -> tuple[float, int]:
             error = resolution * condition**0.5 if error < BEYOND_REPAIR else np.inf
         worst = max(worst, (error, unseen))
     return worst
+
+
+def _measured(problem: Problem, V: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """H, and V of each step of a period: of a sensor of ranges and angles, for a target straight ahead in mid-view."""
+    polar, depth_m = problem.sensor.polar, float(problem.sensor.view.extent.ahead_m)
+    if polar is None:
+        return np.asarray(problem.sensor.H, float), V
+    point_body = np.eye(problem.motion.dimension)[0] * (0.5 * depth_m if np.isfinite(depth_m) else 1.0)
+    H = jacobian(np, polar, point_body) @ np.asarray(problem.motion.Z, float)
+    return H, np.array([noise(np, polar, each, point_body) for each in V])
 
 
 def _floats(*arrays: object) -> tuple[np.ndarray, ...]:

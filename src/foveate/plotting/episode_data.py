@@ -1,6 +1,6 @@
 """Episode data: one episode as numpy arrays to draw, with positions only and without padding."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +30,8 @@ class EpisodeData:
 
     `pose` is as in `space`, `truth` and `estimate` are positions, `covariance` that of the estimated position;
     `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false, the other entries of a target mean
-    nothing. `outline`: the view's border(s) in the body frame; `walls`: distances to obstacles. A *moment* counts
-    SUBSTEPS to a step from the start.
+    nothing. `outline`: the view's border(s) in the body frame; `walls`: distances to obstacles; `mates`: poses of
+    further robots; `heard`: whom each robot (rows) has heard. A *moment* counts SUBSTEPS to a step from the start.
     """
 
     title: str
@@ -48,6 +48,8 @@ class EpisodeData:
     region: Float[np.ndarray, "2 d"] | None = None
     """Lower and upper corner of the region with borders, if the world has one."""
     walls: Nodes | None = None
+    mates: Float[np.ndarray, "instants mates ..."] | None = None
+    heard: Bool[np.ndarray, "steps M M"] | None = None
 
     def __post_init__(self) -> None:
         if len(self.times_s) != self.steps + 1:
@@ -211,7 +213,7 @@ def episode_data(
 ) -> EpisodeData:
     """Episode data of the first `horizon` steps and the first `targets` columns of ONE trace and its true states."""
     steps, instants = (slice(horizon), slice(targets)), (slice(horizon + 1), slice(targets))
-    return state_data(
+    data = state_data(
         problem,
         pose=np.asarray(trace.pose, float)[: horizon + 1],
         mean=np.asarray(trace.mean, float)[instants],
@@ -222,6 +224,10 @@ def episode_data(
         truth=np.asarray(truth_state, float)[instants],
         title=title,
     )
+    if trace.team is None:
+        return data
+    mates = np.asarray(trace.team.pose, float)[: horizon + 1, 1:]
+    return replace(data, mates=mates, heard=np.asarray(trace.team.heard)[:horizon])
 
 
 def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[EpisodeData]:

@@ -16,6 +16,7 @@ from foveate.geometry.numpy_poses import placed
 from foveate.io.figures import BLACK, BLUE, GREEN, GREY, SKY, VERMILLION, clean
 from foveate.plotting.ellipsoids import box_lines, ellipses, half_widths
 from foveate.plotting.episode_data import EpisodeData, snapshot
+from foveate.plotting.mates import Mates
 from foveate.plotting.walls import draw, lit
 
 SEEN, UNSEEN, AGENT, BORDER = GREEN, VERMILLION, BLUE, BLACK
@@ -34,7 +35,8 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
     core, first, later = [], [], []
     for data in episodes:
         core.append(data.truth[data.present])
-        core += [placed(pose, line) for pose in data.pose for line in data.outline]
+        poses = data.pose if data.mates is None else np.concatenate([data.pose[:, None], data.mates], axis=1)
+        core += [placed(pose, line) for pose in poses.reshape(-1, *data.pose.shape[1:]) for line in data.outline]
         for part, beliefs in ((slice(1), first), (slice(1, None), later)):
             shown = data.present[part]
             beliefs.append(ellipses(data.estimate[part][shown], data.covariance[part][shown]).reshape(-1, 2))
@@ -132,12 +134,14 @@ class PlanarScene:
         self.agent = Polygon(blank, facecolor=own, edgecolor="white", lw=0.4 * scale, zorder=8)
         for patch in (*self.whole, *self.views, self.agent):
             axes.add_patch(patch)
+        self.mates = None if data.mates is None else Mates(axes, data, trail, self.size, KITE, scale)
 
     @property
     def artists(self) -> list[Artist]:
         """Moving artists, in drawing order."""
         beliefs = (self.unseen, self.unseen_means, self.seen, self.seen_means)
-        return [*self.whole, *self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
+        mates = [] if self.mates is None else self.mates.artists
+        return [*mates, *self.whole, *self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
 
     def show(self, moment: int) -> None:
         """Move to a moment of the episode."""
@@ -150,6 +154,8 @@ class PlanarScene:
         for view, border in zip(self.whole, self.data.outline, strict=False):
             view.set_xy(placed(state.pose, border))
         self.agent.set_xy(placed(state.pose, self.size * KITE))
+        if self.mates is not None:
+            self.mates.show(state.pose, moment)
         self.targets.set_data(*state.truth.T)
         groups = (self.seen, self.seen_means, state.seen), (self.unseen, self.unseen_means, ~state.seen)
         for (areas, means, which), fill in zip(groups, self.colors, strict=True):
@@ -188,6 +194,7 @@ def legend_entries(episodes: Sequence[EpisodeData] = ()) -> list[Artist]:
         Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="belief (95 %), detected"),
         Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=DASHED, label="belief (95 %), not detected"),
         *[Line2D([], [], color=BORDER, lw=1.2, label="region")] * bordered,
+        *[Line2D([], [], color=GREY, lw=0.9, label="heard")] * any(data.mates is not None for data in episodes),
     ]
 
 

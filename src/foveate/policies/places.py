@@ -33,6 +33,11 @@ class Searched(NamedTuple):
     features: Float[Array, "n features"]
     log_worth: Float[Array, " n"]
 
+    @property
+    def urgency(self) -> list[Float[Array, " n"]]:
+        """The measures of `Tokens`: what a look is worth already has the price of the way."""
+        return [-PREFERENCE * self.log_worth, jnp.zeros_like(self.log_worth)]
+
 
 def with_places(problem: Problem, observation: Observation) -> Searched:
     """Add the best of coarse places as entries with the prior's uncertainty.

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from foveate.io.settings import Settings, tag
 from foveate.io.validate import require
@@ -37,6 +37,9 @@ FIRST_SCALE = 0.01
 
 PREFERENCE = (1.0, 0.5)
 """First preference: log weight lost for each nat of log det, and for each step until the target is in view."""
+
+OTHERS_LOG_WEIGHT = 8.0
+"""First log weight lost by targets that are assigned to other robots of a team."""
 
 LARGEST_CORRECTION = 2.0
 """Largest correction of an aimed action: the whole range of an axis."""
@@ -89,7 +92,7 @@ class PointerSettings(Settings):
         searches = problem.detections is not None
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (token_size(problem, searches), *self.target_widths),
+            (token_size(problem), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
             (embedding, self.mode_width),
@@ -100,13 +103,15 @@ class PointerSettings(Settings):
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
-        weight = jnp.where(untold(problem, (objective, *others), tells_time, searches), 0.0, target[0].weight)
+        weight = jnp.where(untold(problem, (objective, *others), tells_time), 0.0, target[0].weight)
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
         mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
         encoder = SetEncoder(target, query)
         layers = (encoder, context_layers, by_target, by_context, mode, idle)
-        return PointerPolicy(*layers, jnp.array(PREFERENCE), self.modes, objective, tells_time, searches)
+        tells_team = problem.team is not None
+        preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
+        return PointerPolicy(*layers, jnp.array(preference), self.modes, objective, tells_time, tells_team, searches)
 
 
 class SetEncoder(eqx.Module):
@@ -142,15 +147,31 @@ class PointerPolicy(Policy):
     by_context: eqx.nn.Linear
     mode_layer: eqx.nn.Linear
     idle_layer: eqx.nn.Linear
-    preference: Float[Array, "2"]
+    preference: Float[Array, " measures"]
     per_target: int = eqx.field(static=True)
     objective: Objective = eqx.field(static=True)
     tells_time: bool = eqx.field(static=True)
+    tells_team: bool = eqx.field(static=True, default=False)
     searches: bool = eqx.field(static=True, default=False)
+
+    def start(self, observation: Observation) -> Any:
+        """The robot's claims: none for any target; without a team nothing."""
+        return jnp.zeros_like(observation.mean[:, 0]) if self.tells_team else ()
+
+    def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
+        """1 for the target that the robot goes for."""
+        return memory if self.tells_team else super().claims(observation, memory)
+
+    def claimed(self, observation: Observation, mode: Int[Array, ""]) -> Any:
+        """The memory after a decision for a mode."""
+        if not self.tells_team:
+            return ()
+        targets = jnp.arange(observation.mean.shape[0])
+        return (mode // self.per_target == targets).astype(observation.mean.dtype)
 
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
-        return tokens_of(observation, self.objective, self.tells_time, self.searches)
+        return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.searches)
 
     def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""
@@ -180,7 +201,8 @@ class PointerPolicy(Policy):
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: the action of the mode with the largest weight."""
         modes = self.modes(self.tokens(observation))
-        return command(observation, modes.action[jnp.argmax(modes.log_weight)]), memory
+        mode = jnp.argmax(modes.log_weight)
+        return command(observation, modes.action[mode]), self.claimed(observation, mode) if self.tells_team else memory
 
 
 def command(observation: Observation, action: Float[Array, " n_u"]) -> Action:

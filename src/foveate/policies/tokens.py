@@ -22,8 +22,9 @@ from foveate.models.belief import predict_information
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
-from foveate.policies.places import FEATURES, PREFERENCE, with_places
+from foveate.policies.places import FEATURES, with_places
 from foveate.policies.steering import steer, steps_to_view, view_sizes, view_units
+from foveate.policies.team_tokens import TEAM_FEATURES, team_tokens
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
@@ -44,19 +45,25 @@ class Tokens(NamedTuple):
     """Features of each target, the steering law's action towards it, and the measures of the heuristics.
 
     `urgency` are log det of the information [nat], and the steps until the target is in view, on which the first
-    preference among targets is based; `unit` is one view in each axis's action (`view_units`). Actions have a number
-    for every axis of the twist, 0 for those that the robot lacks.
+    preference among targets is based, in a team also 1 for targets of others; `unit` is one view in each axis's action
+    (`view_units`). Actions have a number for every axis of the twist, 0 for those that the robot lacks.
     """
 
     features: Float[Array, "n features"]
     aim: Float[Array, "n n_u"]
-    urgency: Float[Array, "n 2"]
+    urgency: Float[Array, "n measures"]
     unit: Float[Array, " n_u"]
     present: Bool[Array, " n"]
 
 
-def tokens_of(observation: Observation, objective: Objective, tells_time: bool, searches: bool = False) -> Tokens:
-    """The tokens of an observation; without `tells_time` as if there were no end.
+def tokens_of(
+    observation: Observation,
+    objective: Objective,
+    tells_time: bool,
+    tells_team: bool = False,
+    searches: bool = False,
+) -> Tokens:
+    """The tokens of an observation; without `tells_time` as if there were no end; `tells_team`: of a team's robot.
 
     One that `searches` is told of places where undetected targets are expected, too (`policies.places`).
     """
@@ -84,17 +91,19 @@ def tokens_of(observation: Observation, objective: Objective, tells_time: bool, 
         jnp.stack([gain, log_det - log_det_spd(ahead), _relative(log_det, present)], axis=-1) / 4.0,
         _crowd(position_body / depth, gain, present),
     ]
+    urgency = [log_det, jnp.sum(steps, axis=-1)]
+    if tells_team:
+        team = team_tokens(observation, problem, motion.position(observation.mean), depth)
+        own, urgency = [*own, team.features], [*urgency, team.not_own]
     task = [jnp.array([objective == "mean", objective == "seen"], depth.dtype)]
     common = jnp.concatenate(
         [_scene(observation, tells_time), *task, _robot_features(robot), _region_features(observation, problem, depth)]
     )
-    first = [] if searched is None else [searched.features]
-    features = jnp.concatenate([*first, *own, jnp.broadcast_to(common, (present.shape[0], len(common)))], axis=-1)
-    urgency = jnp.stack([log_det, jnp.sum(steps, axis=-1)], axis=-1)
-    if searched is not None:  # what a look is worth already has the price of the way
-        urgency = jnp.stack([-PREFERENCE * searched.log_worth, jnp.zeros_like(log_det)], axis=-1)
+    if searched is not None:
+        own, urgency = [searched.features, *own], searched.urgency
+    features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common)))], axis=-1)
     aim, unit = (_whole(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
-    return Tokens(jnp.where(present[:, None], features, 0.0), aim, urgency, unit, present)
+    return Tokens(jnp.where(present[:, None], features, 0.0), aim, jnp.stack(urgency, axis=-1), unit, present)
 
 
 def padded(tokens: Tokens, targets: int) -> Tokens:
@@ -109,23 +118,19 @@ def padded(tokens: Tokens, targets: int) -> Tokens:
     return tokens._replace(**{name: more(getattr(tokens, name), axes) for name, axes in parts.items()})
 
 
-def token_size(problem: Problem, searches: bool = False) -> int:
-    """Number of features of a token, of a network that `searches` or not.
-
-    Raises InputError where a state does not begin with the position.
-    """
+def token_size(problem: Problem) -> int:
+    """Number of features of a token. Raises InputError where a state does not begin with the position."""
     d, axes = problem.agent.space.dimension, problem.agent.space.twist_size
     shape = f"({d} x {problem.motion.state_size})"
     right = f"expected targets whose state begins with the position, Z = [I 0] {shape}"
     require(problem.motion.begins_with_position, "policy.kind", "pointer", right)
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
-    return FEATURES * searches + own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d
+    own += (problem.team is not None) * TEAM_FEATURES + (problem.detections is not None) * FEATURES
+    return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d
 
 
-def untold(
-    problem: Problem, objectives: Collection[Objective], tells_time: bool, searches: bool = False
-) -> Bool[np.ndarray, " features"]:
+def untold(problem: Problem, objectives: Collection[Objective], tells_time: bool) -> Bool[np.ndarray, " features"]:
     """Features that are 0 throughout a training for these objectives: the end, other tasks, borders of a region.
 
     A region counts as untold even where there is one, so that all trainings begin alike.
@@ -133,7 +138,7 @@ def untold(
     after_tasks = 2 * problem.agent.space.twist_size + 4
     told = [tells_time] * len(TIMES_LEFT) + [task in objectives for task in ("mean", "seen")] + [True] * after_tasks
     tail = np.array([*told, *[False] * (2 * problem.agent.space.dimension)])
-    return ~np.concatenate([np.ones(token_size(problem, searches) - len(tail), bool), tail])
+    return ~np.concatenate([np.ones(token_size(problem) - len(tail), bool), tail])
 
 
 def _whole(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]:

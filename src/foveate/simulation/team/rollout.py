@@ -44,8 +44,8 @@ def simulate(
     *,
     memory: Any = (),
     state: TeamState | None = None,
-) -> PyTree:
-    """Run all steps of a team's episode; return the records, each array with a leading axis of K.
+) -> tuple[TeamState, PyTree]:
+    """Run all steps of a team's episode; return the last state, and records with a leading axis of K.
 
     Every robot decides by the same `decide`, with a key of its own and its own `memory`, of which each array has a
     leading axis of M. The simulation begins with `state`, by default the start of the episode.
@@ -70,7 +70,8 @@ def simulate(
         return (after, memory), record(TeamOutcome(seen, action, notes, after, drafts, heard))
 
     first = step.start(problem, episode, protocol) if state is None else state
-    return jax.lax.scan(advance, (first, memory), per_step)[1]
+    (last, _), records = jax.lax.scan(advance, (first, memory), per_step)
+    return last, records
 
 
 def decider(policy: Policy) -> TeamDecide:
@@ -109,7 +110,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         own = (outcome.action, log_det_spd(robots.information[:, -1]), jnp.sum(error * weighed, axis=-1))
         return robots.pose, central, own, outcome.drafts.measured, robots.contacts, outcome.heard
 
-    found = simulate(problem, decider(policy), episode, protocol, key, record, memory=memory)
+    _, found = simulate(problem, decider(policy), episode, protocol, key, record, memory=memory)
     pose, central, (action, log_det, nees), visible, contacts, heard = found
     first = step.start(problem.of_map(episode.map_number), episode, protocol)
     poses = jnp.concatenate([first.robots.pose[None], pose])

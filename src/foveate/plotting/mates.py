@@ -1,0 +1,70 @@
+"""The other robots of a team in a planar scene, and who has heard whom."""
+
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+
+from foveate.geometry.numpy_poses import arc, placed, positions
+from foveate.io.figures import BLUE, GREY, SKY
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
+
+
+class Mates:
+    """Robots beside the first: their paths, views and bodies, and a line between two of which one has heard the other.
+
+    A line is whole where both have heard each other in the last step, and dotted where one has.
+    """
+
+    def __init__(
+        self, axes: Axes, data: EpisodeData, trail: int | None, size: float, kite: np.ndarray, scale: float
+    ) -> None:
+        assert data.mates is not None, "of a team's episodes"
+        self.data, self.trail, self.kite, self.size = data, trail, kite, size
+        self.arcs = [arc(poses, SUBSTEPS) for poses in np.moveaxis(data.mates, 1, 0)]
+        blank = np.zeros((3, 2))
+        style: dict[str, Any] = {"facecolor": SKY + "33", "edgecolor": BLUE, "lw": 0.5 * scale, "zorder": 1}
+        self.views = [[Polygon(blank, **style) for _ in data.outline] for _ in self.arcs]
+        body: dict[str, Any] = {"facecolor": BLUE, "edgecolor": "white", "lw": 0.4 * scale, "zorder": 8}
+        self.bodies = [Polygon(blank, **body) for _ in self.arcs]
+        self.paths = [axes.add_line(Line2D([], [], color=BLUE, lw=0.8 * scale, zorder=2)) for _ in self.arcs]
+        self.both = axes.add_line(Line2D([], [], color=GREY, lw=0.9 * scale, zorder=1.5))
+        self.one = axes.add_line(Line2D([], [], color=GREY, lw=0.9 * scale, ls=(0, (1, 2)), zorder=1.5))
+        for patch in (*chain.from_iterable(self.views), *self.bodies):
+            axes.add_patch(patch)
+
+    @property
+    def artists(self) -> list[Artist]:
+        """Moving artists, in drawing order."""
+        return [*chain.from_iterable(self.views), self.both, self.one, *self.paths, *self.bodies]
+
+    def show(self, first: Float[np.ndarray, "..."], moment: int) -> None:
+        """Move to a moment, at which the first robot has a pose."""
+        step = moment // SUBSTEPS
+        begin = 0 if self.trail is None else max(0, step - self.trail) * SUBSTEPS
+        poses = [first, *(course[moment] for course in self.arcs)]
+        for pose, course, views, body, path in zip(
+            poses[1:], self.arcs, self.views, self.bodies, self.paths, strict=True
+        ):
+            path.set_data(*positions(course[begin : moment + 1]).T)
+            body.set_xy(placed(pose, self.size * self.kite))
+            for view, border in zip(views, self.data.outline, strict=True):
+                view.set_xy(placed(pose, border))
+        places = positions(np.stack(poses))
+        heard = np.zeros((len(poses), len(poses)), bool)
+        if step and self.data.heard is not None:
+            heard = self.data.heard[step - 1]
+        self.both.set_data(*lines(places, heard & heard.T).T)
+        self.one.set_data(*lines(places, (heard | heard.T) & ~(heard & heard.T)).T)
+
+
+def lines(places: Float[np.ndarray, "M d"], pairs: Bool[np.ndarray, "M M"]) -> Float[np.ndarray, "_ d"]:
+    """Segments between the pairs of places, joined to one line with gaps."""
+    first, second = np.nonzero(np.triu(pairs, 1))
+    gaps = np.full((len(first), places.shape[1]), np.nan)
+    return np.stack([places[first], places[second], gaps], axis=1).reshape(-1, places.shape[1])

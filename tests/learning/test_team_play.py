@@ -1,0 +1,107 @@
+"""Trajectories of a team: the reward is the team's, windows continue each other, and the critic sees all robots."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.rejections import assert_rejected
+
+from foveate.experiment.checkpoint import load_run
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
+from foveate.learning.loop import train
+from foveate.learning.team_play import play_team
+from foveate.learning.trajectories import log_density
+from foveate.learning.windows import cut
+from foveate.learning.worlds import worlds_of
+from foveate.policies.attention import AttentionSettings
+from foveate.policies.pointer import PointerSettings
+from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.team import RadioSettings, TeamSettings
+from foveate.simulation.records import TRUE
+from foveate.simulation.rollout import rollout
+from foveate.simulation.team.step import start
+
+M, N, K = 2, 2, 6
+EXPERIMENT = Experiment(
+    scenario=Scenario(
+        scenes=SceneSettings(targets_min=N, targets_max=N, steps=K, half_side_per_target_m=1.5, drift_m_s=(0.1, 0.1)),
+        team=TeamSettings(agents=M, radio=RadioSettings(loss=0.5, delay_steps=1, memory_steps=2)),
+    ),
+    policy=PointerSettings(
+        kind="pointer", target_widths=(8, 8), heads=1, context_widths=(8,), mode_width=8, modes=1
+    ),
+    training=ActorCriticSettings(
+        algorithm="actor-critic", epochs=1, episodes=4, minibatches=2, held_out=4, check_every=1, window=3
+    ),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def played():
+    """An episode, played whole and in two windows, and rolled out by the deterministic policy."""
+    (world,) = worlds_of(EXPERIMENT)
+    policy = EXPERIMENT.new_policy(jax.random.key(4))
+    policy = eqx.tree_at(lambda p: p.idle_layer.bias, policy, policy.idle_layer.bias.at[0].set(-1e3))
+    # The log weights of a hundred heuristics: the likeliest mode is the only one.
+    policy = replace(policy, preference=100.0 * policy.preference)
+
+    @jax.jit
+    def run(key):
+        problem, episode = world.drawn(key)
+        std = jnp.asarray(1e-9)
+        how = (TRUE, "terminal", std, key)
+        state = start(problem, episode, TRUE)
+        whole = play_team(problem, policy, episode, *how, state, episode.horizon, False, True)[0]
+        first, middle = play_team(
+            problem, policy, cut(episode, jnp.array(0), 3), *how, state, episode.horizon, False, False
+        )
+        second = play_team(problem, policy, cut(episode, jnp.array(3), 3), *how, middle, episode.horizon, False, False)[
+            0
+        ]
+        return whole, (first, second), rollout(problem, policy, episode, TRUE, key)
+
+    whole, windows, trace = jax.tree.map(np.asarray, run(jax.random.key(2)))
+    return world.problem, policy, whole, windows, trace
+
+
+def test_every_robot_has_the_teams_reward(played):
+    problem, _, whole, _, trace = played
+    prior = np.linalg.slogdet(problem.prior_information)[1]
+    expected = np.diff(trace.log_det.mean(axis=1), prepend=prior)
+    np.testing.assert_allclose(whole.reward, np.repeat(expected[None], M, axis=0), atol=1e-6)
+    assert whole.ends.tolist() == [[False] * (K - 1) + [True]] * M
+
+
+def test_windows_continue_each_other(played):
+    _, _, whole, (first, second), _ = played
+    for part in ("action", "reward", "log_density"):
+        joined = np.concatenate([getattr(first, part), getattr(second, part)], axis=1)
+        np.testing.assert_allclose(joined, getattr(whole, part), atol=1e-9)
+
+
+def test_the_critic_sees_the_tokens_of_all_robots(played):
+    _, policy, whole, _, _ = played
+    for m in range(M):
+        own = whole.tokens.features[m]
+        np.testing.assert_array_equal(whole.seen.features[1 - m][:, m * N : (m + 1) * N], own)
+        modes = policy.modes(jax.tree.map(lambda x, m=m: jnp.asarray(x[m, 2]), whole.tokens))
+        std = 1e-9 * jnp.asarray(whole.tokens.unit[m, 2])
+        found = log_density(modes, jnp.asarray(whole.action[m, 2]), std)
+        np.testing.assert_allclose(found, whole.log_density[m, 2], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_training_ends_with_a_policy_for_teams(tmp_path):
+    outcome = train(EXPERIMENT, tmp_path / "run")
+    assert outcome.epochs == 1
+    assert load_run(tmp_path / "run")[1].tells_team
+
+
+def test_the_gradient_of_a_soft_view_trains_no_team(tmp_path):
+    single = replace(EXPERIMENT, policy=AttentionSettings(), training=TrainingSettings(epochs=1, episodes=2))
+    assert_rejected(lambda: train(single, tmp_path / "run"), "scenario.team.agents = 2: expected 1, or training.algo")

@@ -1,0 +1,43 @@
+"""The robots of a team in a scene: all inside of it, each where it is, with lines between those that have heard."""
+
+import numpy as np
+from helpers.episode_data import random_episode
+from matplotlib.figure import Figure
+
+from foveate.plotting.animation import picture
+from foveate.plotting.episode_data import SUBSTEPS
+from foveate.plotting.mates import lines
+from foveate.plotting.scene import PlanarScene, limits
+
+POSES = np.random.default_rng(1).normal(0, [9.0, 9.0, 1.0], (5, 2, 3))
+HEARD = np.zeros((4, 3, 3), bool)
+HEARD[2, 0, 1] = HEARD[2, 1, 0] = HEARD[2, 2, 0] = True
+
+
+def test_every_robot_is_where_it_is_and_linked_to_whom_it_has_heard():
+    data = random_episode(mates=POSES, heard=HEARD)
+    box = limits([data])
+    assert np.all((box[0] <= POSES[..., :2]) & (POSES[..., :2] <= box[1]))
+    scene = PlanarScene(Figure().add_subplot(), data, box)
+    scene.show(3 * SUBSTEPS)
+    assert scene.mates is not None
+    for body, path, pose in zip(scene.mates.bodies, scene.mates.paths, np.moveaxis(POSES, 1, 0), strict=True):
+        np.testing.assert_allclose(np.asarray(body.get_xy()).min(axis=0) <= pose[3, :2], True)
+        np.testing.assert_allclose(np.asarray(path.get_data()).T[[0, -1]], pose[[0, 3], :2], atol=1e-9)
+    first, second, third = data.pose[3, :2], *POSES[3, :, :2]
+    np.testing.assert_allclose(np.asarray(scene.mates.both.get_data()).T[:2], [first, second])
+    np.testing.assert_allclose(np.asarray(scene.mates.one.get_data()).T[:2], [first, third])
+    scene.show(0)
+    assert len(np.asarray(scene.mates.both.get_data()).T) == 0
+
+
+def test_lines_have_gaps_between_pairs():
+    places, pairs = np.arange(6.0).reshape(3, 2), np.ones((3, 3), bool)
+    found = lines(places, pairs)
+    assert np.isnan(found[2::3]).all()
+    np.testing.assert_array_equal(found[[0, 1, 3, 4, 6, 7]], places[[0, 1, 0, 2, 1, 2]])
+
+
+def test_a_picture_of_a_team_differs_from_that_of_its_first_robot():
+    alone, team = random_episode(), random_episode(mates=POSES, heard=HEARD)
+    assert np.any(picture(alone, 3 * SUBSTEPS) != picture(team, 3 * SUBSTEPS))
