@@ -1,11 +1,12 @@
 """Check that no agent enters an obstacle, and measure what obstacles cost.
 
-    python experiments/obstacles.py [--maps 100] [--episodes 500] [--steps 100]
+    python experiments/obstacles.py [--maps 100] [--episodes 500] [--steps 100] [--kinds circles rooms streets]
     python experiments/obstacles.py --cost
 
-The first form plays random actions and heuristics over random maps with a robot that is fast and turns sharply, and
-looks for every step with shapely whether the arc that the agent went, or a target, came too near to an obstacle. The
-second times a step of 1024 environments with a map of 256 x 256 cells and 32 rays each, over one without.
+The first form plays random actions, heuristics and the trained policy `rooms` over random maps with a robot that is
+fast and turns sharply, and looks for every step with shapely whether the arc that the agent went, or a target, came too
+near to an obstacle. The second times a step of 1024 environments with a map of 256 x 256 cells and 32 rays each, over
+one without.
 """
 
 import argparse
@@ -18,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 import shapely
 
+from foveate.evaluation.held_out import OneOf
+from foveate.experiment.resolve import load
 from foveate.geometry.shapes import Shape
 from foveate.geometry.sight import fan
 from foveate.planning.named import heuristic_policy
@@ -36,7 +39,7 @@ HALL = SceneSettings(
 )
 ROBOT = DifferentialDrive(v_min_m_s=-2.0, v_max_m_s=8.0, w_max_rad_s=3.0)
 KINDS = {"circles": CircleObstacles, "rooms": RoomObstacles, "streets": StreetObstacles}
-METHODS = ("random", "nearest", "price")
+METHODS = ("random", "nearest", "price", "rooms")
 ARC_POINTS, BATCH, TOLERANCE_M = 33, 100, 0.01
 ENVIRONMENTS, RAYS, RANGE_M = 1024, 32, 8.0
 
@@ -55,12 +58,13 @@ def trees(obstacles, box) -> list[shapely.STRtree]:
     return [shapely.STRtree([geometry(shape) for shape in obstacles.shapes_in(rng, low, high)]) for rng in rngs]
 
 
-def check(kind: str, method: str, maps: int, episodes: int, steps: int) -> None:
-    """Play, and print the numbers of steps, contacts, and violations of agent and targets."""
+def check(kind: str, maps: int, episodes: int, steps: int) -> None:
+    """Play, and print for every method the numbers of steps, contacts, and violations of agent and targets."""
     obstacles = KINDS[kind](maps=maps, test_maps=0)
     scenario = Scenario(agent=ROBOT, scenes=replace(HALL, steps=steps), obstacles=obstacles)
     problem, forest = scenario.problem(), trees(obstacles, start_box(scenario.scenes, None))
-    policy = heuristic_policy(method, problem, float(scenario.view.depth_m))
+    depth_m = float(scenario.view.depth_m)
+    given = [load(m)[1] if m == "rooms" else heuristic_policy(m, problem, depth_m) for m in METHODS]
 
     def arc(pose, action, after):
         """Places on the way of a step, up to where the agent really came."""
@@ -72,7 +76,9 @@ def check(kind: str, method: str, maps: int, episodes: int, steps: int) -> None:
         return way.at[-1].set(after[:2])
 
     @eqx.filter_jit
-    def play(problem, policy, keys):
+    def play(problem, policies, which, keys):
+        policy = OneOf(policies, which)
+
         def run(key):
             episode = training_episode(problem, scenario.scenes, key, noise=True)
             trace = rollout(problem, policy, episode, TRUE, key)
@@ -81,20 +87,21 @@ def check(kind: str, method: str, maps: int, episodes: int, steps: int) -> None:
 
         return jax.vmap(run)(keys)
 
-    entered = inside = contacts = 0
-    for first in range(0, episodes, BATCH):
-        keys = jax.random.split(jax.random.key(first), BATCH)
-        numbers, ways, touched, targets, present = map(np.asarray, play(problem, policy, keys))
-        contacts += touched.sum()
-        for number, lines, places, real in zip(numbers, ways, targets, present, strict=True):
-            near = {"predicate": "dwithin", "distance": obstacles.robot_radius_m - TOLERANCE_M}
-            entered += len(np.unique(forest[number].query(shapely.linestrings(lines), **near)[0]))
-            points = shapely.points(places[:, real].reshape(-1, 2))
-            inside += len(np.unique(forest[number].query(points, predicate="intersects")[0]))
-    total = -(-episodes // BATCH) * BATCH * steps
-    print(
-        f"{kind:8} {method:8} {total:9} steps, {contacts:8} contacts; in obstacles {entered:4} ways, {inside:4} targets"
-    )
+    for which, method in enumerate(METHODS):
+        entered = inside = contacts = 0
+        for first in range(0, episodes, BATCH):
+            keys = jax.random.split(jax.random.key(first), BATCH)
+            played = play(problem, tuple(given), jnp.array(which), keys)
+            numbers, ways, touched, targets, present = map(np.asarray, played)
+            contacts += touched.sum()
+            for number, lines, places, real in zip(numbers, ways, targets, present, strict=True):
+                near = {"predicate": "dwithin", "distance": obstacles.robot_radius_m - TOLERANCE_M}
+                entered += len(np.unique(forest[number].query(shapely.linestrings(lines), **near)[0]))
+                points = shapely.points(places[:, real].reshape(-1, 2))
+                inside += len(np.unique(forest[number].query(points, predicate="intersects")[0]))
+        total = -(-episodes // BATCH) * BATCH * steps
+        found = f"{contacts:8} contacts; in obstacles {entered:4} ways, {inside:4} targets"
+        print(f"{kind:8} {method:8} {total:9} steps, {found}", flush=True)
 
 
 def cost(repeats: int = 40) -> None:
@@ -137,10 +144,10 @@ if __name__ == "__main__":
     parser.add_argument("--cost", action="store_true")
     for name, default in (("maps", 100), ("episodes", 500), ("steps", 100)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     options = parser.parse_args()
     if options.cost:
         cost()
     else:
-        for kind in KINDS:
-            for method in METHODS:
-                check(kind, method, options.maps, options.episodes, options.steps)
+        for kind in options.kinds:
+            check(kind, options.maps, options.episodes, options.steps)

@@ -56,6 +56,7 @@ TESTED_ELSEWHERE = {
     **dict.fromkeys(("learning.sb3.network", "learning.sb3.vec_env"), "learning/sb3/test_ppo.py"),
     # Implementations of one protocol, tested alike.
     **dict.fromkeys(("geometry.fov_planar", "geometry.fov_spatial"), "geometry/test_fov.py"),
+    "geometry.way_tables": "geometry/test_ways.py",
     **dict.fromkeys(("geometry.series", "geometry.lie_planar"), "geometry/test_lie.py"),
     **dict.fromkeys(("models.problem", "simulation.records", "simulation.step"), "simulation/test_rollout.py"),
     "simulation.draft": "simulation/test_rollout.py",

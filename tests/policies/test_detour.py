@@ -1,14 +1,15 @@
-"""Ways around obstacles: lengths are SciPy's shortest paths, and a robot that follows them arrives."""
+"""Steering around obstacles: a robot arrives where a way leads, and heuristics ask for the way, not the distance."""
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
-from foveate.policies.detour import geodesic, lattice, next_place
+from foveate.policies.detour import reachable, steer_to, unfolded
 from foveate.policies.heuristics import Nearest
+from foveate.policies.steering import steer
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.obstacles import ShapeObstacles
 from foveate.scenario.random_obstacles import RoomObstacles
@@ -28,56 +29,69 @@ HALL = SceneSettings(
     jitter_m_s=0.0,
     process_noise=False,
 )
-ROOMS = RoomObstacles(maps=2, test_maps=0)
+WALL = ShapeObstacles(boxes=((0.0, -4.0, 0.5, 6.0),))
 
 
-def test_distances_are_those_of_scipy():
-    obstacles = Scenario(scenes=HALL, obstacles=ROOMS).problem().obstacles.of_map(jnp.asarray(1))
-    where = lattice(obstacles)
-    free, shape = np.asarray(where.free), where.free.shape
-    number = np.arange(free.size).reshape(shape)
-    edges = []
-    for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        a = np.s_[max(0, -di) : shape[0] - max(0, di), max(0, -dj) : shape[1] - max(0, dj)]
-        b = np.s_[max(0, di) : shape[0] + min(0, di), max(0, dj) : shape[1] + min(0, dj)]
-        both = free[a] & free[b]
-        edges.append((number[a][both], number[b][both], np.full(both.sum(), float(where.pitch) * np.hypot(di, dj))))
-    i, j, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
-    graph = coo_matrix((length, (i, j)), shape=(free.size, free.size)).tocsr()
-    # Free nodes lie outside of the hall, too.
-    away = np.linalg.norm(np.asarray(where.nodes_world) - [0.5, 0.5], axis=-1)
-    goal = int(np.where(free, away, np.inf).argmin())
-    expected = dijkstra(graph, directed=False, indices=goal).reshape(shape)
-    seeds = jnp.full(shape, jnp.inf).at[np.unravel_index(goal, shape)].set(0.0)
-    found = np.asarray(jax.jit(geodesic)(where, seeds))
-    np.testing.assert_allclose(np.where(free, found, np.inf), np.where(free, expected, np.inf), atol=1e-6)
-    assert np.isfinite(found).mean() > 0.25
+def test_a_place_behind_a_wall_unfolds_to_the_length_of_the_way():
+    problem = Scenario(scenes=HALL, obstacles=WALL).problem()
+    pose, ends = jnp.array([-3.0, 0.0, 0.7]), jnp.array([[-3.0, 5.0], [3.0, 0.0]])
+    way = jax.jit(lambda: unfolded(problem, pose, ends, 0.5))()
+    np.testing.assert_array_equal(way.is_straight, [True, False])
+    np.testing.assert_allclose(way.points_body[0], problem.agent.space.to_body(pose, ends[0]), atol=1e-6)
+    # Around the lower end of the wall, which is nearer, at the distance of the body from its corners.
+    low = -4.0 - 0.2 - 0.07
+    expected = np.hypot(3.0, low) + 0.5 + np.hypot(2.5, low)
+    assert expected < float(jnp.linalg.norm(way.points_body[1])) < 1.1 * expected + 0.5
+    towards = problem.agent.space.to_world(pose, way.points_body[1:])[0] - pose[:2]
+    assert float(jnp.arctan2(towards[1], towards[0])) < -0.7
+    assert float(way.rest[0]) == 0.5
+    # It stops at a bend beside the wall.
+    assert 0.0 < float(way.rest[1]) < expected - 2.5
 
 
-def test_the_next_place_leads_around_a_wall_and_is_the_goal_in_the_open():
-    wall = ShapeObstacles(boxes=((0.0, -4.0, 0.5, 6.0),))
-    obstacles = Scenario(scenes=HALL, obstacles=wall).problem().obstacles
-    ask = jax.jit(next_place)
-    start = jnp.array([-3.0, 0.0])
-    place, direct = ask(obstacles, start, jnp.array([-3.0, 5.0]))
-    assert bool(direct)
-    np.testing.assert_allclose(place, [-3.0, 5.0])
-    place, direct = ask(obstacles, start, jnp.array([3.0, 0.0]))
-    assert not bool(direct)
-    # Around the lower end of the wall, which is nearer.
-    assert float(place[1]) < -3.0
-    assert float(place[0]) < 0.5
+def test_without_obstacles_steering_is_the_steering_law():
+    problem = Scenario(scenes=HALL).problem()
+    pose, point = jnp.array([1.0, 2.0, 0.3]), jnp.array([4.0, 7.0])
+    expected = steer(problem.agent, problem.tau, problem.agent.space.to_body(pose, point), 1.0)
+    np.testing.assert_array_equal(steer_to(problem, pose, point, 1.0), expected)
+    np.testing.assert_array_equal(reachable(problem, point[None]), point[None])
 
 
-@pytest.mark.exhaustive
-@pytest.mark.slow
-def test_a_heuristic_arrives_behind_a_wall():
-    agent, target = DifferentialDrive(v_max_m_s=1.5, w_max_rad_s=2.0), (4.0, 0.0)
-    wall = ShapeObstacles(boxes=((0.0, -4.0, 0.5, 7.0),))
-    problem = Scenario(agent=agent, scenes=HALL, obstacles=wall).problem()
-    scene = Scene(id="a", agent=(-5.0, -0.5, 0.0), targets=(target,), drift=((0.0, 0.0),), horizon=30)
+def test_the_nearest_target_is_that_of_the_shortest_way():
+    problem = Scenario(scenes=HALL, obstacles=WALL).problem()
+    # The second is nearer, but behind the wall.
+    scene = Scene(id="a", agent=(-2.0, 0.0, 0.0), targets=((-2.0, 4.0), (1.5, 0.0)), horizon=2)
     episode = jax.tree.map(lambda x: x[0], scene_episodes(problem, HALL, [scene], 0, 1))
-    trace = jax.jit(lambda e: rollout(problem, Nearest(problem, 1.0), e, TRUE, jax.random.key(0)))(episode)
-    assert np.linalg.norm(np.asarray(trace.pose[-1, :2]) - target) < 2.5
-    assert trace.visible.any()
-    assert int(trace.contacts[-1]) <= 3
+    for seen, expected in ((problem, 0), (replace(problem, obstacles=None), 1)):
+        policy = Nearest(seen, 1.0)
+        trace = jax.jit(lambda e, p=policy, q=seen: rollout(q, p, e, TRUE, jax.random.key(0)))(episode)
+        turn = float(trace.pose[1, 2])
+        assert (turn > 0.5) == (expected == 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_robot_arrives_anywhere_among_rooms(seed):
+    agent = DifferentialDrive(v_max_m_s=2.0, w_max_rad_s=1.5)
+    problem = Scenario(
+        tau_s=0.5, agent=agent, scenes=HALL, obstacles=RoomObstacles(maps=4, test_maps=0, seed=seed)
+    ).problem()
+
+    def go(key):
+        which, starts, ends = jax.random.split(key, 3)
+        here = problem.of_map(jax.random.randint(which, (), 0, 4))
+        places = jax.random.uniform(starts, (24, 2), minval=-8.0, maxval=8.0)
+        assert here.obstacles is not None
+        start = here.obstacles.free_place(places, here.obstacles.radius)
+        end = reachable(here, jax.random.uniform(ends, (1, 2), minval=-8.0, maxval=8.0))[0]
+
+        def step(pose, _):
+            action = steer_to(here, pose, end, 0.0)
+            after, touches = here.among_obstacles(pose, action, here.agent.move(pose, action, here.tau))
+            return after, (jnp.linalg.norm(after[:2] - end), touches)
+
+        return jax.lax.scan(step, jnp.append(start, 0.0), None, 70)[1]
+
+    away, touches = jax.jit(jax.vmap(go))(jax.random.split(jax.random.key(seed), 60))
+    assert (np.asarray(away).min(axis=1) < 0.5).all()
+    assert np.asarray(touches).mean() < 0.05

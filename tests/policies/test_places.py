@@ -10,16 +10,16 @@ from helpers.worlds_of_detections import HALL
 from policies.test_search import PROBLEM, expecting, seen, tracking  # noqa: F401
 
 from foveate.errors import InputError
-from foveate.policies.places import FEATURES, PLACES, token_count, with_places
+from foveate.policies.places import PLACES, token_count, with_places
 from foveate.policies.pointer import PointerSettings
-from foveate.policies.tokens import token_size, tokens_of
+from foveate.policies.tokens import SEARCH_FEATURES, token_size, tokens_of
 
 TRACKS = PROBLEM.detections.tracks
 
 
 def test_the_best_places_follow_the_tracks(seen):  # noqa: F811
     """A track of 0.9, and 2 targets expected in a corner: the first place is the nearest that has both in reach."""
-    found = with_places(PROBLEM, tracking(expecting(seen, {(7, 7): 2.0}), 3.0, 0.9, 2.0))
+    found = with_places(tracking(expecting(seen, {(7, 7): 2.0}), 3.0, 0.9, 2.0))
     assert found.observation.mean.shape == (TRACKS + PLACES, 4)
     assert found.observation.present.tolist() == [True] + [False] * (TRACKS - 1) + [True] * PLACES
     np.testing.assert_allclose(found.features[:, 0], [0.0] * TRACKS + [1.0] * PLACES)
@@ -32,9 +32,10 @@ def test_the_best_places_follow_the_tracks(seen):  # noqa: F811
 
 def test_tokens_have_the_features_in_front(seen):  # noqa: F811
     plain = tokens_of(replace(seen, undetected=None), "terminal", True)
-    tokens = tokens_of(seen, "gospa", True, searches=True)
+    searched = with_places(seen)
+    tokens = searched.told(tokens_of(searched.observation, "gospa", True))
     assert tokens.features.shape == (token_count(PROBLEM, 3), token_size(PROBLEM))
-    assert token_size(PROBLEM) == plain.features.shape[1] + FEATURES
+    assert token_size(PROBLEM) == plain.features.shape[1] + SEARCH_FEATURES
     assert token_count(replace(PROBLEM, detections=None), 3) == 3
 
 

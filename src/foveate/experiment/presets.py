@@ -8,8 +8,9 @@ from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
-from foveate.scenario.agent import FreeBody, Quadrotor
+from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
 from foveate.scenario.field_of_view import ConeView, FrustumView, SectorView
+from foveate.scenario.random_obstacles import RoomObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -67,6 +68,31 @@ PAN_TILT = replace(
 )
 """The same in space: a camera that turns about its upward and its sideways axis, with targets above and below it."""
 
+ROOMS = Scenario(
+    tau_s=0.5,
+    agent=DifferentialDrive(v_max_m_s=2.0, w_max_rad_s=1.5),
+    view=SectorView(depth_m=5.0, angle_deg=120.0),
+    target=VelocityTarget(
+        acceleration_m2_s3=0.02,
+        initial_variance_m2=1.0,
+        initial_velocity_variance_m2_s2=0.16,
+    ),
+    scenes=SceneSettings(
+        targets_min=3,
+        targets_max=6,
+        half_side_m=(9.0, 9.0),
+        half_side_per_target_m=0.0,
+        agent_spread=1.0,
+        agent_test_half_side_m=9.0,
+        drift_m_s=(0.5, 0.5),
+        shared_drift=False,
+        steps=48,
+        initial_error="consistent",
+    ),
+    obstacles=RoomObstacles(maps=32),
+)
+"""A slow robot among 3 to 6 targets that walk through the rooms of a floor of 18 x 18 m, for 24 s."""
+
 POINTER, ACTOR_CRITIC = PointerSettings(), ActorCriticSettings()
 
 
@@ -101,6 +127,11 @@ PRESETS = {
     "any": Experiment(policy=POINTER, training=replace(ACTOR_CRITIC, worlds="random", epochs=700)),
     "pan": _watching(PAN),
     "pan-tilt": _watching(PAN_TILT),
+    "rooms": Experiment(
+        scenario=ROOMS,
+        policy=replace(POINTER, rays=16),
+        training=replace(ACTOR_CRITIC, objective="mean", epochs=240),
+    ),
 }
 """Experiments by the names of the presets; the package has a trained policy of each."""
 

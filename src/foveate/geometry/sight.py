@@ -26,6 +26,9 @@ RAY_STEPS = 8
 WAY_CELLS = 1.0
 """Least step along a way, in cells."""
 
+CLOSER_CELLS = 1e-5
+"""What a body that begins too near to an obstacle may come closer to it, in cells: rounding."""
+
 HALVINGS = 6
 """Halvings of the last step before a contact, which is then known to 1/64 of it."""
 
@@ -39,18 +42,39 @@ def sees(
     grid: DistanceGrid, eye: Point, points_world: Float[Array, "n d"], asked: Bool[Array, " n"]
 ) -> Bool[Array, " n"]:
     """Points [m] to which the line from the eye is free, among those that are asked for; false for all others."""
+    opaque, stride = OPAQUE_CELLS * grid.cell, STRIDE_CELLS * grid.cell
+    return _is_free(grid, eye, points_world, asked, opaque, grid.slack, stride)
+
+
+def passes(grid: DistanceGrid, eye: Point, points_world: Float[Array, "n d"], radius_m: Scalar) -> Bool[Array, " n"]:
+    """Points [m] to which a body can go in a straight line; one that begins too near may get no nearer."""
+    least = margin(grid, radius_m)
+    floor = jnp.minimum(least, grid(eye) - CLOSER_CELLS * grid.cell)
+    asked = jnp.ones(points_world.shape[:1], bool)
+    return _is_free(grid, eye, points_world, asked, floor, least, WAY_CELLS * grid.cell)
+
+
+def _is_free(
+    grid: DistanceGrid,
+    eye: Point,
+    points_world: Float[Array, "n d"],
+    asked: Bool[Array, " n"],
+    least: Scalar,
+    lost: Scalar,
+    stride: Scalar,
+) -> Bool[Array, " n"]:
+    """True where the distance is more than `least` all along a line, by steps of the distance less `lost`."""
     way = points_world - eye
     length = jnp.linalg.norm(way, axis=-1)
     direction = way / jnp.maximum(length, 1e-9)[:, None]
-    opaque, stride = OPAQUE_CELLS * grid.cell, STRIDE_CELLS * grid.cell
 
     def advance(carry):
         at, active, free = carry
         distance = grid(eye + at[:, None] * direction)
-        clear = distance > opaque
+        clear = distance > least
         free = jnp.where(active, clear, free)
         active = active & clear & (at < length)
-        return jnp.minimum(at + jnp.maximum(distance - grid.slack, stride), length), active, free
+        return jnp.minimum(at + jnp.maximum(distance - lost, stride), length), active, free
 
     first = jnp.zeros_like(length), asked, jnp.zeros_like(asked)
     return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), advance, first)[2]

@@ -13,6 +13,7 @@ from foveate.geometry import sight
 from foveate.geometry.distance_grid import DistanceGrid
 from foveate.geometry.linalg import multiply
 from foveate.geometry.space import Space
+from foveate.geometry.ways import Way, Ways
 from foveate.models.sensor import Softness, detection_weight
 from foveate.types import Count, Flag, Point, Pose, Scalar
 
@@ -26,13 +27,14 @@ class Obstacles(eqx.Module):
     """The maps of a scenario as signed distances, one of them chosen (see `scenario.obstacles`).
 
     Of the maps the first `training` are those of training, the rest, if any, those of test scenes. `radius` [m] is that
-    of the agent's body, `freest` the place of each map that is farthest from all obstacles, `samples` the number of
-    places on a line of sight at which a soft view looks.
+    of the agent's body, `freest` the place of each map that is farthest from all obstacles, `ways` has the agent's ways
+    around them, and `samples` is the number of places on a line of sight at which a soft view looks.
     """
 
     grid: DistanceGrid
     radius: Scalar
     freest: Float[Array, "maps d"]
+    ways: Ways
     training: int = eqx.field(static=True)
     samples: int = eqx.field(static=True)
     targets: Literal["around", "free"] = eqx.field(static=True, default="around")
@@ -65,6 +67,10 @@ class Obstacles(eqx.Module):
         needed = sight.margin(self.grid, radius_m) + START_CELLS * self.grid.cell
         is_free = self.grid(places_world) > needed
         return jnp.where(is_free.any(), places_world[jnp.argmax(is_free)], self.freest[self.grid.index])
+
+    def ways_to(self, eye: Point, points_world: Float[Array, "n d"], standoff: Scalar | float) -> Way:
+        """The agent's ways to points [m]; see `Ways.to`."""
+        return self.ways.to(self.grid, self.radius, eye, points_world, standoff)
 
     def ranges(
         self, space: Space, pose: Pose, directions_body: Float[Array, "rays d"], most_m: Scalar | float

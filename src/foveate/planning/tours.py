@@ -11,7 +11,7 @@ from foveate.geometry.fov import FieldOfView
 from foveate.geometry.fov_spatial import Prism
 from foveate.models.problem import Problem
 from foveate.planning.information import Future
-from foveate.policies.steering import steer
+from foveate.policies.detour import steer_to
 from foveate.types import Key, Scalar
 
 MAX_START_ACTION = 0.9
@@ -62,7 +62,7 @@ def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Flo
         distance = preference * jnp.sqrt(jnp.sum(points_body**2, axis=-1))
         rounds = jnp.where(future.present, looks // dwell, len(future.state))
         distance = jnp.where(rounds == jnp.min(rounds), distance, jnp.inf)
-        action = steer(agent, problem.tau, points_body[jnp.argmin(distance)], standoff_m)
+        action = steer_to(problem, pose, positions_world[jnp.argmin(distance)], standoff_m)
         obstacles = None if problem.keep_off_m is None else positions_world
         pose = problem.move(pose, action, obstacles, future.present)
         seen = problem.sees(pose, positions_world)

@@ -16,8 +16,8 @@ from foveate.models.agent import Agent
 from foveate.models.problem import Problem
 from foveate.planning.information import Future, mean_score
 from foveate.planning.receding import believed_future
+from foveate.policies.detour import steer_to
 from foveate.policies.rules import priced
-from foveate.policies.steering import steer
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Count, Key
 
@@ -70,11 +70,10 @@ def commands(agent: Agent) -> Float[Array, "commands m"]:
 
 def _steering(problem: Problem, future: Future, target: Count, standoff_m: float) -> Float[Array, "K m"]:
     """Actions that steer to a target where it is predicted to be."""
-    agent = problem.agent
 
     def step(pose, state):
         positions_world = problem.motion.position(state)
-        action = steer(agent, problem.tau, agent.space.to_body(pose, positions_world[target]), standoff_m)
+        action = steer_to(problem, pose, positions_world[target], standoff_m)
         obstacles = None if problem.keep_off_m is None else positions_world
         return problem.move(pose, action, obstacles, future.present), action
 

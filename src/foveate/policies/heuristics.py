@@ -10,8 +10,7 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.policies.detour import next_place
-from foveate.policies.steering import steer
+from foveate.policies.detour import reachable, steer_to, unfolded
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point
 
@@ -39,6 +38,11 @@ class Still(Policy):
         return self.problem.agent.action(jnp.zeros_like(self.problem.agent.lower)), memory
 
 
+def here(problem: Problem, observation: Observation) -> Problem:
+    """The problem of the observation's step and map."""
+    return problem.at(observation.step).of_map(observation.map_number)
+
+
 class Steering(Policy):
     """Turns to a goal and stops `standoff_m` [m] before it; subclasses choose the goal.
 
@@ -55,25 +59,22 @@ class Steering(Policy):
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Steer to the goal; stop if none exists."""
         goal_world, exists, memory = self.goal(observation, memory)
-        agent = self.problem.agent
-        standoff_m = self.standoff_m
-        if self.problem.obstacles is not None:
-            obstacles = self.problem.of_map(observation.map_number).obstacles
-            assert obstacles is not None, "as just seen"
-            goal_world, direct = next_place(obstacles, agent.space.position(observation.pose), goal_world)
-            standoff_m = jnp.where(direct, standoff_m, 0.0)
-        goal_body = agent.space.to_body(observation.pose, goal_world)
-        action = steer(agent, self.problem.at(observation.step).tau, goal_body, standoff_m)
+        problem, agent = here(self.problem, observation), self.problem.agent
+        action = steer_to(problem, observation.pose, goal_world, self.standoff_m)
         return jnp.where(exists, action, agent.action(jnp.zeros_like(agent.lower))), memory
 
 
 class Nearest(Steering):
-    """Follows the target whose predicted position is nearest."""
+    """Follows the target whose predicted position is nearest, among obstacles by the way to it."""
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
         """The nearest predicted mean."""
         position = self.problem.motion.position(observation.mean)
-        square_m2 = jnp.sum((position - self.problem.agent.space.position(observation.pose)) ** 2, axis=-1)
+        if self.problem.obstacles is None:
+            square_m2 = jnp.sum((position - self.problem.agent.space.position(observation.pose)) ** 2, axis=-1)
+        else:
+            way = unfolded(here(self.problem, observation), observation.pose, position, self.standoff_m)
+            square_m2 = jnp.sum(way.points_body**2, axis=-1)
         choice = jnp.argmin(jnp.where(observation.present, square_m2, jnp.inf))
         return position[choice], observation.present.any(), memory
 
@@ -117,6 +118,7 @@ class Lawnmower(Steering):
         along = jnp.tile(jnp.array([0.0, 1.0, 1.0, 0.0], low.dtype), LANES // 2)
         middle = jnp.full((2 * LANES, low.shape[0] - 2), 0.5, low.dtype)
         corners = low + (high - low) * jnp.concatenate([along[:, None], across[:, None], middle], axis=1)
+        corners = reachable(here(self.problem, observation), corners)
         return corners, jnp.argmin(jnp.linalg.norm(corners - agent_world, axis=-1))
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:

@@ -10,12 +10,11 @@ from jaxtyping import Array, Float
 from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.policies.search import Alternate
+from foveate.policies.tokens import Tokens
 from foveate.simulation.records import Observation
 
 PLACES = 12
 """Number of places that a network is told of: those most worth a look."""
-FEATURES = 3
-"""Number of features that a token has beside those of a target with an id."""
 LEAST_WORTH = 1e-3
 """A look that is worth less [targets] is worth nothing."""
 PREFERENCE = 2.0
@@ -33,18 +32,20 @@ class Searched(NamedTuple):
     features: Float[Array, "n features"]
     log_worth: Float[Array, " n"]
 
-    @property
-    def urgency(self) -> list[Float[Array, " n"]]:
-        """The measures of `Tokens`: what a look is worth already has the price of the way."""
-        return [-PREFERENCE * self.log_worth, jnp.zeros_like(self.log_worth)]
+    def told(self, tokens: Tokens) -> Tokens:
+        """The tokens of the observation with these features in front; what a look is worth has the price of the way."""
+        features = jnp.concatenate([self.features, tokens.features], axis=-1)
+        urgency = jnp.stack([-PREFERENCE * self.log_worth, jnp.zeros_like(self.log_worth)], axis=-1)
+        return tokens._replace(features=jnp.where(tokens.present[:, None], features, 0.0), urgency=urgency)
 
 
-def with_places(problem: Problem, observation: Observation) -> Searched:
+def with_places(observation: Observation) -> Searched:
     """Add the best of coarse places as entries with the prior's uncertainty.
 
     Raises InputError for an observation without undetected targets.
     """
-    if observation.undetected is None or observation.existence is None or problem.detections is None:
+    problem = None if observation.robot is None else observation.robot.problem
+    if observation.undetected is None or observation.existence is None or problem is None:
         raise InputError("observation.undetected = None: expected that of detections without ids, for this policy")
     rule, motion = Alternate(problem, 0.0), problem.motion
     number, worth, position_world = rule.places(observation)

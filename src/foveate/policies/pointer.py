@@ -22,6 +22,7 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import Objective
 from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
+from foveate.policies.places import with_places
 from foveate.policies.tokens import Tokens, token_size, tokens_of, untold
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
@@ -43,6 +44,9 @@ OTHERS_LOG_WEIGHT = 8.0
 
 LARGEST_CORRECTION = 2.0
 """Largest correction of an aimed action: the whole range of an axis."""
+
+MAX_RAYS = 256
+"""Most rays of a policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +73,9 @@ class PointerSettings(Settings):
     modes: int = 2
     tells_time: bool | None = None
     begin_with: str | None = None
+    rays: int = 0
+    """Number of rays along which it is told free ranges. With any it is also told the ways around obstacles, and aims
+    along them; 0: it knows of no obstacles."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,6 +84,7 @@ class PointerSettings(Settings):
             require(min(widths, default=0) >= 1, name, widths, "expected at least one width, each >= 1")
         for name in ("heads", "modes", "mode_width"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
+        require(0 <= self.rays <= MAX_RAYS, "rays", self.rays, f"expected 0 to {MAX_RAYS}")
 
     def policy(
         self,
@@ -92,7 +100,7 @@ class PointerSettings(Settings):
         searches = problem.detections is not None
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (token_size(problem), *self.target_widths),
+            (token_size(problem, self.rays), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
             (embedding, self.mode_width),
@@ -103,7 +111,7 @@ class PointerSettings(Settings):
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
-        weight = jnp.where(untold(problem, (objective, *others), tells_time), 0.0, target[0].weight)
+        weight = jnp.where(untold(problem, (objective, *others), tells_time, self.rays), 0.0, target[0].weight)
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
         mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
@@ -111,7 +119,8 @@ class PointerSettings(Settings):
         layers = (encoder, context_layers, by_target, by_context, mode, idle)
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
-        return PointerPolicy(*layers, jnp.array(preference), self.modes, objective, tells_time, tells_team, searches)
+        told = objective, tells_time, tells_team, self.rays, searches
+        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told)
 
 
 class SetEncoder(eqx.Module):
@@ -152,6 +161,7 @@ class PointerPolicy(Policy):
     objective: Objective = eqx.field(static=True)
     tells_time: bool = eqx.field(static=True)
     tells_team: bool = eqx.field(static=True, default=False)
+    rays: int = eqx.field(static=True, default=0)
     searches: bool = eqx.field(static=True, default=False)
 
     def start(self, observation: Observation) -> Any:
@@ -171,7 +181,11 @@ class PointerPolicy(Policy):
 
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
-        return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.searches)
+        if not self.searches:
+            return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
+        searched = with_places(observation)
+        told = self.objective, self.tells_time, self.tells_team, self.rays
+        return searched.told(tokens_of(searched.observation, *told))
 
     def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""

@@ -9,8 +9,9 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
-from foveate.policies.heuristics import Steering, box_of
-from foveate.policies.steering import steer, steps_to_view, twist_towards
+from foveate.policies.detour import reachable, steer_to, unfolded
+from foveate.policies.heuristics import Steering, box_of, here
+from foveate.policies.steering import steps_to_view, twist_towards
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point
 
@@ -24,7 +25,10 @@ ARRIVED = 0.1
 def priced(problem: Problem, observation: Observation) -> Float[Array, " n"]:
     """log det of the predicted information of each target, plus the price of the way to it [nat]; inf in padding."""
     agent, step = problem.agent, problem.at(observation.step)
-    points_body = agent.space.to_body(observation.pose, problem.motion.position(observation.mean))
+    way = unfolded(
+        step.of_map(observation.map_number), observation.pose, problem.motion.position(observation.mean), 0.0
+    )
+    points_body = way.points_body
     extent = step.sensor.view.extent
     steps = jax.vmap(lambda point: steps_to_view(agent, step.tau, extent, point))(points_body)
     cost = log_det_spd(observation.information) + NATS_PER_STEP * jnp.sum(steps, axis=-1)
@@ -70,7 +74,8 @@ class Post(Policy):
         count = jnp.where(present[:, None] & present, jax.lax.map(in_reach, places), -1)
         distance_m = jnp.linalg.norm(places - agent_world, axis=-1)
         best = jnp.argmin(jnp.where(count == jnp.max(count), distance_m, jnp.inf))
-        return jnp.where(present.any(), places.reshape(-1, len(low))[best], 0.5 * (low + high))
+        place = jnp.where(present.any(), places.reshape(-1, len(low))[best], 0.5 * (low + high))
+        return reachable(here(self.problem, observation), place[None])[0]
 
     def __call__(self, observation: Observation, memory: Point, key: Key) -> tuple[Action, Point]:
         """Drive to the place, or turn to a target from there; stop if there is none."""
@@ -87,4 +92,5 @@ class Post(Policy):
             return turn, memory
         place_body = space.to_body(observation.pose, memory)
         away = jnp.linalg.norm(place_body) > ARRIVED * self.depth_m
-        return jnp.where(away, steer(agent, tau, place_body, 0.0), turn), memory
+        action = steer_to(here(self.problem, observation), observation.pose, memory, 0.0)
+        return jnp.where(away, action, turn), memory

@@ -22,8 +22,8 @@ from foveate.models.belief import predict_information
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
-from foveate.policies.places import FEATURES, with_places
 from foveate.policies.steering import steer, steps_to_view, view_sizes, view_units
+from foveate.policies.surroundings import place_features, ways_of, ways_size
 from foveate.policies.team_tokens import TEAM_FEATURES, team_tokens
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
@@ -31,14 +31,15 @@ from foveate.types import Scalar
 STANDOFF = 0.5
 """Where the steering law ends, in depths of the view: a target may then move either way."""
 
-NEAR = 0.05
-"""Below this range, in depths of the view, the direction of a target fades to zero: at the agent itself it has none."""
-
 CROWD_DEPTHS = (0.5, 2.0)
 """Radii, in depths of the view, within which a target's neighbours are counted."""
 
 TIMES_LEFT = (3.0, 10.0, 40.0)
 """Scales [steps] on which the time left is told."""
+
+
+SEARCH_FEATURES = 3
+"""Further features where detections have no ids (`policies.places`)."""
 
 
 class Tokens(NamedTuple):
@@ -57,33 +58,28 @@ class Tokens(NamedTuple):
 
 
 def tokens_of(
-    observation: Observation,
-    objective: Objective,
-    tells_time: bool,
-    tells_team: bool = False,
-    searches: bool = False,
+    observation: Observation, objective: Objective, tells_time: bool, tells_team: bool = False, rays: int = 0
 ) -> Tokens:
-    """The tokens of an observation; without `tells_time` as if there were no end; `tells_team`: of a team's robot.
+    """The tokens of an observation; without `tells_time` as if there were no end, without `rays` as if in the open.
 
-    One that `searches` is told of places where undetected targets are expected, too (`policies.places`).
+    `tells_team`: of a team's robot.
     """
     robot = observation.robot
     if robot is None:
         raise InputError("observation.robot = None: expected the robot, which this policy asks for")
-    searched = with_places(robot.problem, observation) if searches else None
-    observation = observation if searched is None else searched.observation
     problem, extent, present = robot.problem, robot.extent, observation.present
     agent, motion, depth = problem.agent, problem.motion, extent.ahead_m
     # Padding may hold anything: a usual belief, in a corner ahead, keeps its numbers finite.
     information = jnp.where(present[:, None, None], observation.information, problem.prior_information)
     position_body = agent.space.to_body(observation.pose, motion.position(observation.mean))
     position_body = jnp.where(present[:, None], position_body, depth)
-    aim = jax.vmap(lambda point: steer(agent, problem.tau, point, STANDOFF * depth))(position_body)
-    steps = jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point))(position_body)
+    reached, rest, around = ways_of(observation, robot, position_body, rays, STANDOFF * depth)
+    aim = jax.vmap(lambda point, rest: steer(agent, problem.tau, point, rest))(reached, rest)
+    steps = jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point))(reached)
     log_det, ahead = log_det_spd(information), jax.vmap(predict_information, (0, None))(information, motion)
     gain = _gain(problem, observation, information)
     own = [
-        _places(position_body / depth),
+        place_features(position_body / depth),
         _displacement(observation, robot) / depth,
         _uncertainty(observation, problem, information, depth),
         jnp.log1p(steps),
@@ -99,9 +95,7 @@ def tokens_of(
     common = jnp.concatenate(
         [_scene(observation, tells_time), *task, _robot_features(robot), _region_features(observation, problem, depth)]
     )
-    if searched is not None:
-        own, urgency = [searched.features, *own], searched.urgency
-    features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common)))], axis=-1)
+    features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common))), *around], axis=-1)
     aim, unit = (_whole(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
     return Tokens(jnp.where(present[:, None], features, 0.0), aim, jnp.stack(urgency, axis=-1), unit, present)
 
@@ -118,19 +112,24 @@ def padded(tokens: Tokens, targets: int) -> Tokens:
     return tokens._replace(**{name: more(getattr(tokens, name), axes) for name, axes in parts.items()})
 
 
-def token_size(problem: Problem) -> int:
-    """Number of features of a token. Raises InputError where a state does not begin with the position."""
+def token_size(problem: Problem, rays: int = 0) -> int:
+    """Number of features of a token, of which some are for rays.
+
+    Raises InputError where a state does not begin with the position.
+    """
     d, axes = problem.agent.space.dimension, problem.agent.space.twist_size
     shape = f"({d} x {problem.motion.state_size})"
     right = f"expected targets whose state begins with the position, Z = [I 0] {shape}"
     require(problem.motion.begins_with_position, "policy.kind", "pointer", right)
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
-    own += (problem.team is not None) * TEAM_FEATURES + (problem.detections is not None) * FEATURES
-    return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d
+    own += (problem.team is not None) * TEAM_FEATURES + (problem.detections is not None) * SEARCH_FEATURES
+    return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d + ways_size(d, rays)
 
 
-def untold(problem: Problem, objectives: Collection[Objective], tells_time: bool) -> Bool[np.ndarray, " features"]:
+def untold(
+    problem: Problem, objectives: Collection[Objective], tells_time: bool, rays: int = 0
+) -> Bool[np.ndarray, " features"]:
     """Features that are 0 throughout a training for these objectives: the end, other tasks, borders of a region.
 
     A region counts as untold even where there is one, so that all trainings begin alike.
@@ -138,7 +137,8 @@ def untold(problem: Problem, objectives: Collection[Objective], tells_time: bool
     after_tasks = 2 * problem.agent.space.twist_size + 4
     told = [tells_time] * len(TIMES_LEFT) + [task in objectives for task in ("mean", "seen")] + [True] * after_tasks
     tail = np.array([*told, *[False] * (2 * problem.agent.space.dimension)])
-    return ~np.concatenate([np.ones(token_size(problem) - len(tail), bool), tail])
+    around = np.ones(token_size(problem, rays) - token_size(problem), bool)
+    return ~np.concatenate([np.ones(token_size(problem) - len(tail), bool), tail, around])
 
 
 def _whole(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]:
@@ -146,12 +146,6 @@ def _whole(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]
     zero = jnp.zeros_like(action[..., 0])
     columns = [action[..., agent.axes.index(i)] if i in agent.axes else zero for i in range(agent.space.twist_size)]
     return jnp.stack(columns, axis=-1)
-
-
-def _places(position: Float[Array, "n d"]) -> Float[Array, "n features"]:
-    """Direction, logarithm of the range, and position: near and far targets are resolved alike."""
-    distance = jnp.sqrt(jnp.sum(position**2, axis=-1, keepdims=True) + NEAR**2)
-    return jnp.concatenate([position / distance, jnp.log(distance), jnp.tanh(distance / 4), jnp.arcsinh(position)], -1)
 
 
 def _displacement(observation: Observation, robot: Robot) -> Float[Array, "n d"]:

@@ -7,6 +7,8 @@ import numpy as np
 
 from foveate.geometry.distance_grid import Nodes, of_cells
 from foveate.geometry.shapes import Shape, union_distance
+from foveate.geometry.way_tables import Tables, tables
+from foveate.geometry.ways import Ways
 from foveate.io.validate import require
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
@@ -51,3 +53,16 @@ def extruded(nodes: Nodes, heights_m: tuple[float, float], box: Box) -> Nodes:
     flat = nodes.distance[..., None]
     outside = np.hypot(np.maximum(flat, 0.0), np.maximum(above, 0.0))
     return Nodes(outside + np.minimum(np.maximum(flat, above), 0.0), np.append(nodes.low, low), nodes.cell_m)
+
+
+def ways_among(nodes: Nodes, least_m: float) -> Ways:
+    """The ways of a body that keeps `least_m` [m] from obstacles; equal maps are computed once."""
+    distance = nodes.distance.astype(np.float32)
+    tables = _ways(distance.tobytes(), distance.shape, tuple(nodes.low.tolist()), nodes.cell_m, least_m)
+    return Ways.of(tables, nodes)
+
+
+@lru_cache(maxsize=4)
+def _ways(distance: bytes, shape: tuple[int, ...], low: tuple[float, ...], cell_m: float, least_m: float) -> Tables:
+    values = np.frombuffer(distance, np.float32).reshape(shape)
+    return tables(Nodes(values, np.array(low), cell_m), least_m)

@@ -17,7 +17,7 @@ from foveate.io.occupancy import read_map
 from foveate.io.settings import Settings, tag
 from foveate.io.validate import at_least, positive, require
 from foveate.models.obstacles import Obstacles
-from foveate.scenario.obstacle_grids import Box, cell_nodes, extruded, shape_nodes
+from foveate.scenario.obstacle_grids import Box, cell_nodes, extruded, shape_nodes, ways_among
 
 MAX_SAMPLES = 256
 """Most places on a line of sight at which a soft view looks."""
@@ -61,7 +61,7 @@ class BaseObstacles(Settings):
         """
         nodes = self.nodes(box)
         grid, freest = DistanceGrid.of(nodes), nodes.freest()
-        needed = float(sight.margin(grid, jnp.asarray(self.robot_radius_m, float)))
+        needed = self.robot_radius_m + nodes.slack_m + 0.5 * sight.WAY_CELLS * nodes.cell_m
         room = float(nodes.distance.reshape(len(freest), -1).max(axis=1).min())
         right = f"expected less: at the freest place of a map an obstacle is {room:.3g} m away, less than {needed:.3g}"
         require(room > needed, "robot_radius_m", self.robot_radius_m, right)
@@ -70,6 +70,7 @@ class BaseObstacles(Settings):
             grid=grid,
             radius=jnp.asarray(self.robot_radius_m, float),
             freest=jnp.asarray(freest, float),
+            ways=ways_among(nodes, needed),
             training=self.map_counts[0],
             samples=min(max(8, samples), MAX_SAMPLES),
             targets=self.targets,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from foveate.models.detections.records import Population
-from foveate.models.robot import Robot
+from foveate.models.robot import Robot, Surroundings
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.simulation.team.records import TeamDraws, TeamTrace, TeamView
 from foveate.types import Action, Count, Key, Pose
@@ -87,6 +87,7 @@ class Observation(eqx.Module):
     known_input: Float[Array, "n m_y"]
     robot: Robot | None = None
     """What a policy may know about its robot; None for policies that ask for nothing."""
+    surroundings: Surroundings | None = None  # None: those of the robot's map
     existence: Float[Array, " n"] | None = None
     """Probability that a target exists, of each entry; None where that is certain."""
     undetected: Float[Array, "*cells"] | None = None
@@ -97,8 +98,7 @@ class Observation(eqx.Module):
     @property
     def map_number(self) -> Count | None:
         """Number of the robot's map; None without obstacles."""
-        obstacles = None if self.robot is None else self.robot.problem.obstacles
-        return None if obstacles is None else obstacles.grid.index
+        return None if self.robot is None else self.robot.map_number
 
 
 class Policy(eqx.Module):
