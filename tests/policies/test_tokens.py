@@ -233,7 +233,8 @@ def test_extremes_are_finite_in_float32(name):
             narrow = seen(scenario, turn, place, mean, information, known_input, present)
             found = tokens(narrow, "terminal", True)
         assert found.features.dtype == jnp.float32
-        np.testing.assert_allclose(found.features, exact.features, atol=2e-3)
+        # Of the target known to a hair: the prediction is the difference of two numbers 1e5 times as large.
+        np.testing.assert_allclose(found.features, exact.features, atol=1e-2)
         for part in (found.features, found.aim, found.urgency):
             assert np.isfinite(part).all()
             assert np.abs(part).max() < 2100

@@ -65,8 +65,7 @@ def play(
 ) -> tuple[Trajectory, State]:
     """Play the steps of an episode, or of a part of it, from a state; return them and the state after the last.
 
-    Each action is sampled from a Gaussian about that of a mode, sampled by its weight. `action_std` is in units of the
-    view.
+    Each action is sampled about that of a mode, itself sampled by its weight; `action_std` is in units of the view.
     """
     assert episode.truth is not None, "training episodes are noisy"
     following, here = episode.inputs[-1], problem.of_map(episode.map_number)
@@ -93,8 +92,9 @@ def play(
     after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(here)))
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.information), axis=0), state.present)
-    reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
-    if gospa is not None:
+    if gospa is None:
+        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    else:
         reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
     step = state.step + jnp.arange(len(reward))
     counts = step < ends
