@@ -26,6 +26,7 @@ TRACKS = ROOT / ".." / "shared" / "tracks"
 WANTED = {
     *("paper", "search", "quadrotor", "pan", "pan-tilt", "tutorial", "zara01", "sind"),
     *("rest-200", "set-tracking", "commands-12", "fast-drone", "slow-robot", "crowd-20", "long-1000"),
+    *("team-tracking", "team-lossy"),
 }
 
 

@@ -22,6 +22,7 @@ from foveate.policies.pointer import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.team import RadioSettings, TeamSettings
+from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
 from foveate.simulation.rollout import rollout
 from foveate.simulation.team.step import start
@@ -100,6 +101,15 @@ def test_a_training_ends_with_a_policy_for_teams(tmp_path):
     outcome = train(EXPERIMENT, tmp_path / "run")
     assert outcome.epochs == 1
     assert load_run(tmp_path / "run")[1].tells_team
+
+
+def test_alone_a_policy_for_teams_has_no_memory_and_decides_as_without_mates():
+    scenario = replace(EXPERIMENT.scenario, team=None)
+    policy = EXPERIMENT.new_policy(jax.random.key(4))
+    problem, key = scenario.problem(), jax.random.key(0)
+    trace = rollout(problem, policy, training_episode(problem, scenario.scenes, key, noise=True), TRUE, key)
+    assert np.isfinite(trace.action).all()
+    assert trace.team is None
 
 
 def test_the_gradient_of_a_soft_view_trains_no_team(tmp_path):

@@ -15,10 +15,12 @@ from foveate.planning.named import assigned_in, heuristic_in
 from foveate.policies.assigned import KEEP_NATS, shares
 from foveate.policies.rules import priced
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.team import TeamSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
+from foveate.simulation.rollout import rollout
+from foveate.simulation.suites import scene_episodes
 from foveate.simulation.team.rollout import first_observations
 
 M, N = 3, 3
@@ -96,3 +98,31 @@ def test_names_of_methods():
         assert_rejected(lambda name=name: methods_of(name), f"method {name!r}: expected one of")
     single = replace(SCENARIO, team=None)
     assert_rejected(lambda: assigned_in(single, heuristic_in(single, "nearest"), "greedy"), "the scenario has no team")
+
+
+@pytest.mark.slow
+def test_two_robots_beside_each_other_part_and_detect_all_targets():
+    """Two targets to either side: assigned, all are detected within 20 steps; copies both go to one side."""
+    team = TeamSettings(agents=2)
+    still = SceneSettings(
+        targets_min=4, targets_max=4, steps=20, drift_m_s=(0.0, 0.0), jitter_m_s=0.0, half_side_m=(1.0, 1.0)
+    )
+    scenario = Scenario(team=team, scenes=still)
+    problem = scenario.problem()
+    scene = Scene(
+        id="a",
+        agent=(0.0, 0.0, 0.0),
+        others=((0.0, 0.5, 0.0),),
+        targets=((12.0, 3.0), (12.0, -3.0), (-12.0, 3.0), (-12.0, -3.0)),
+        drift=((0.0, 0.0),) * 4,
+        horizon=20,
+    )
+    episode = jax.tree.map(lambda x: x[0], scene_episodes(problem, scenario.scenes, [scene], 0, 1))
+    nearest = heuristic_in(scenario, "nearest")
+    policies = nearest, assigned_in(scenario, heuristic_in(scenario, "uncertain"), "hungarian")
+    copies, parted = (
+        np.asarray(jax.jit(lambda e, k, p=p: rollout(problem, p, e, TRUE, k).visible)(episode, jax.random.key(0)))
+        for p in policies
+    )
+    assert parted.any(axis=0).all()
+    assert not copies.any(axis=0).all()

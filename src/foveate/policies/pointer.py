@@ -166,15 +166,19 @@ class PointerPolicy(Policy):
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
-        return jnp.zeros_like(observation.mean[:, 0]) if self.tells_team else ()
+        return jnp.zeros_like(observation.mean[:, 0]) if self.claims_in(observation) else ()
+
+    def claims_in(self, observation: Observation) -> bool:
+        """True for a robot of a team: alone, as on a robot of its own, it has no claims."""
+        return self.tells_team and observation.team is not None
 
     def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
         """1 for the target that the robot goes for."""
-        return memory if self.tells_team else super().claims(observation, memory)
+        return memory if self.claims_in(observation) else super().claims(observation, memory)
 
     def claimed(self, observation: Observation, mode: Int[Array, ""]) -> Any:
         """The memory after a decision for a mode."""
-        if not self.tells_team:
+        if not self.claims_in(observation):
             return ()
         targets = jnp.arange(observation.mean.shape[0])
         return (mode // self.per_target == targets).astype(observation.mean.dtype)
@@ -216,7 +220,7 @@ class PointerPolicy(Policy):
         """Deterministic: the action of the mode with the largest weight."""
         modes = self.modes(self.tokens(observation))
         mode = jnp.argmax(modes.log_weight)
-        return command(observation, modes.action[mode]), self.claimed(observation, mode) if self.tells_team else memory
+        return command(observation, modes.action[mode]), self.claimed(observation, mode)
 
 
 def command(observation: Observation, action: Float[Array, " n_u"]) -> Action:

@@ -4,6 +4,7 @@ All numbers are of the newest that the robot has heard of each mate, in the netw
 the number of mates or on their order: a network serves teams of any size.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -39,10 +40,10 @@ def team_tokens(
     observation: Observation, problem: Problem, position_world: Float[Array, "n d"], depth: Scalar
 ) -> TeamTokens:
     """What is told of the team; without one, as if there were no mates."""
-    team, present, n = observation.team, observation.present, len(position_world)
+    team, present, zero = observation.team, observation.present, jnp.zeros_like(position_world[:, 0])
     if team is None:
-        nothing = [jnp.full(n, jnp.log(FAR)), -jnp.ones(n), *[jnp.zeros(n)] * 5, jnp.ones(n)]
-        return TeamTokens(jnp.stack(nothing, axis=-1), jnp.zeros(n))
+        nothing = [zero + math.log(FAR), zero - 1.0, *[zero] * 5, zero + 1.0]
+        return TeamTokens(jnp.stack(nothing, axis=-1), zero)
     space = problem.agent.space
     distance = jax.vmap(lambda pose: jnp.linalg.norm(space.to_body(pose, position_world), axis=-1))(team.pose) / depth
     is_mate = jnp.arange(len(team.age)) != team.number
@@ -60,7 +61,7 @@ def team_tokens(
         jnp.max(claimed, axis=0),
         jnp.log1p(jnp.sum(jnp.abs(claimed), axis=0)),
         jnp.log1p(nearer),
-        jnp.full(n, jnp.log1p(jnp.sum(fresh)) / 2.0),
+        zero + jnp.log1p(jnp.sum(fresh)) / 2.0,
         share,
     ]
     # A robot without a target of its own goes where it likes.

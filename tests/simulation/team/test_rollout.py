@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from foveate.errors import InputError
+from foveate.evaluation.metrics import chi_square_band
 from foveate.planning.named import heuristic_policy
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
@@ -182,3 +183,24 @@ def test_what_a_team_lacks_is_rejected():
         rollout(problem, policy, replace(episode, truth=None), TRUE, key)
     with pytest.raises(InputError, match=r"scenario\.team"):
         log_dets(problem, policy, episode, TRUE, key)
+
+
+@pytest.mark.slow
+def test_fused_beliefs_are_never_overconfident():
+    """NEES of 1,000 episodes where messages are lost and late, and older than the memory: 4 is right, 0 too careful."""
+    radio = RadioSettings(range_m=6.0, loss=0.6, delay_steps=1, memory_steps=2)
+    scenario = team_of(radio, sensor=PLAIN, scenes=replace(SCENARIO.scenes, steps=20))
+    problem = scenario.problem()
+    policy = heuristic_policy("nearest", problem, 6.0)
+
+    def run(key):
+        return rollout(
+            problem, policy, training_episode(problem, scenario.scenes, key, noise=True), TRUE, key
+        ).team.nees
+
+    nees = np.asarray(jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(5), 1000)))
+    # Robots that have heard each other share their errors: a target of an episode counts as one.
+    _, high = chi_square_band(4, 1000 * N)
+    assert nees[:, -1].mean() < high + 0.1
+    assert nees.mean() < high
+    assert nees[:, -1].mean() > 2.0
