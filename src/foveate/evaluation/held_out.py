@@ -5,14 +5,15 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from foveate.evaluation.gospa import mean_gospa
 from foveate.evaluation.planners import WINDOW
 from foveate.experiment.experiment import Experiment
 from foveate.learning.devices import cores
@@ -90,7 +91,7 @@ def policy_scores(
     program = _compiled(given, run, arrays, jnp.array(0), *rest)
     scores = {}
     with ThreadPoolExecutor(cores()) as pool:
-        found = pool.map(lambda i: np.asarray(program(arrays, jnp.array(i), *rest), float), range(len(policies)))
+        found = pool.map(lambda i: _scores(given, program(arrays, jnp.array(i), *rest), rest[0]), range(len(policies)))
         for name, values in zip(policies, found, strict=True):
             scores[name] = values
             report(len(scores))
@@ -116,7 +117,8 @@ def planner_scores(
     program = _compiled(given, run, *batch(0))
     parts: list[Scores] = []
     with ThreadPoolExecutor(cores()) as pool:
-        for part in pool.map(lambda first: np.asarray(program(*batch(first)), float), range(0, count, PLANS_PER_BATCH)):
+        batches = map(batch, range(0, count, PLANS_PER_BATCH))
+        for part in pool.map(lambda batch: _scores(given, program(*batch), batch[0]), batches):
             parts.append(part)
             report(min(count, PLANS_PER_BATCH * len(parts)))
     return np.concatenate(parts)[:count]
@@ -130,16 +132,42 @@ def planning_work(experiment: Experiment, settings: PlanSettings) -> float:
     return float(steps * min(WINDOW, steps) * settings.iterations * settings.starts * n * n_y**2)
 
 
-def _planner_score(given: HeldOut, settings: PlanSettings, episode: Episode, key: Key) -> Scalar:
+def _planner_score(given: HeldOut, settings: PlanSettings, episode: Episode, key: Key) -> "Scalar | Estimates":
     window = min(WINDOW, len(episode.inputs))
     planner = Receding(problem=given.problem, settings=settings, window=window)
     return _score(given, planner, episode, key)
 
 
-def _score(given: HeldOut, policy: Policy, episode: Episode, key: Key) -> Scalar:
-    training = given.experiment.training
+class Estimates(NamedTuple):
+    """Positions of all tracks after each step [m], and the tracks that are reported: of detections without ids."""
+
+    position_world: Float[Array, "*b K n d"]
+    reported: Bool[Array, "*b K n"]
+
+
+def _score(given: HeldOut, policy: Policy, episode: Episode, key: Key) -> Scalar | Estimates:
+    """Score of an episode; without ids what `_scores` needs for it, as pairs are found outside of JAX."""
+    training, model = given.experiment.training, given.problem.detections
     trace = rollout(given.problem, policy, episode, PROTOCOLS[training.select], key)
-    return objective_score(trace, episode, training.objective)
+    if model is None or trace.existence is None:
+        return objective_score(trace, episode, training.objective)
+    return Estimates(given.problem.motion.position(trace.mean[1:]), trace.existence[1:] > model.confirm)
+
+
+def _scores(given: HeldOut, found: Any, episodes: Episode) -> Scores:
+    """Scores of episodes as numbers: without ids minus GOSPA, the mean over the steps."""
+    model, truth, scans = given.problem.detections, episodes.truth, episodes.scans
+    if model is None or truth is None or scans is None:
+        return np.asarray(found, float)
+    position = np.asarray(given.problem.motion.position(truth.state), float)[:, 1:]
+    estimates = np.asarray(found.position_world, float), np.asarray(found.reported)
+    parts, cutoff_m = (*estimates, position, np.asarray(scans.alive)[:, 1:]), float(np.asarray(model.cutoff))
+
+    def score(i: int, steps: int) -> float:
+        estimate, reported, target, alive = (part[i, :steps] for part in parts)
+        return -mean_gospa(estimate, reported, target, alive, cutoff_m).gospa
+
+    return np.array([score(i, int(steps)) for i, steps in enumerate(np.asarray(episodes.horizon))])
 
 
 def _compiled(given: HeldOut, run: Callable, *arguments: Any) -> Callable:

@@ -75,6 +75,12 @@ def episode_score(values: Float[Array, "K n"], episode: Episode, terminal: bool)
 
 
 def objective_score(trace: Trace, episode: Episode, objective: Objective) -> Scalar:
-    """Score of an episode by a training's objective: a mean log det [nat per target], or the share of time in view."""
+    """Score of an episode by a training's objective: a mean log det [nat per target], or the share of time in view.
+
+    By "gospa" it is minus the mean over the steps that the filter expects [m].
+    """
+    if trace.expected_gospa is not None:
+        gospa = trace.expected_gospa[1:]
+        return -jnp.mean(gospa, where=jnp.arange(len(gospa)) < episode.horizon)
     values = trace.visible.astype(trace.log_det.dtype) if objective == "seen" else trace.log_det
     return episode_score(values, episode, objective == "terminal")

@@ -19,7 +19,7 @@ COLLAPSED_SCORE = 1.0
 """A held-out score this far [nat per target] below the best counts towards a collapse."""
 
 COLLAPSED_SEEN = 0.5
-"""The same where the objective is time in view: below this share of the best."""
+"""The same where the objective is time in view: below this share of the best; or GOSPA, of which the best has this."""
 
 COLLAPSED_VALIDATIONS = 10
 """Consecutive validations far below the best that make a collapse: a few may be noise, or a detour."""
@@ -107,7 +107,8 @@ def _decide(
     if score > best and not (saturated and math.isfinite(best)):
         kept = replace(Progress.of(learner), best_score=jnp.array(score), best_epoch=learner.epoch)
         return Decision(progress=replace(kept, rollbacks=progress.rollbacks), is_best=True)
-    is_below = score < (COLLAPSED_SEEN * best if training.objective == "seen" else best - COLLAPSED_SCORE)
+    limits = {"seen": COLLAPSED_SEEN * best, "gospa": best / COLLAPSED_SEEN}
+    is_below = score < limits.get(training.objective, best - COLLAPSED_SCORE)
     below = int(progress.below) + 1 if is_below else 0
     if not saturated and below < COLLAPSED_VALIDATIONS:
         return Decision(progress=replace(progress, learner=learner, below=jnp.array(below)))

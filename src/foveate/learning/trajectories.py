@@ -19,6 +19,7 @@ from foveate.policies.pointer import Modes, PointerPolicy, command
 from foveate.policies.tokens import Tokens
 from foveate.simulation.records import Episode, Protocol, State, observe, per_target
 from foveate.simulation.rollout import Outcome, simulate
+from foveate.simulation.scans import expected
 from foveate.simulation.step import predict
 from foveate.types import Count, Key, Scalar
 
@@ -64,11 +65,10 @@ def play(
 ) -> tuple[Trajectory, State]:
     """Play the steps of an episode, or of a part of it, from a state; return them and the state after the last.
 
-    Each action is sampled from a Gaussian about that of a mode, sampled by its weight. `action_std` is in units of the
-    view.
+    Each action is sampled about that of a mode, itself sampled by its weight; `action_std` is in units of the view.
     """
     assert episode.truth is not None, "training episodes are noisy"
-    following = episode.inputs[-1]
+    following, here = episode.inputs[-1], problem.of_map(episode.map_number)
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
 
     def decide(observation, memory, key):
@@ -82,16 +82,20 @@ def play(
         return command(observation, action), memory, (tokens, action, log_density(modes, action, std))
 
     def record(done: Outcome):
-        return done.notes, jnp.mean(log_det_spd(done.state.information), axis=0), done.measured, done.state
+        log_det = jnp.mean(log_det_spd(done.state.information), axis=0)
+        return done.notes, log_det, done.measured, expected(here, done.state).get("expected_gospa"), done.state
 
-    notes, log_det, visible, states = simulate(problem, decide, episode, protocol, key, record, state=state)
+    notes, log_det, visible, gospa, states = simulate(problem, decide, episode, protocol, key, record, state=state)
     tokens, action, density = notes
     last: State = jax.tree.map(lambda x: x[-1], states)
     predicted = predict(problem, last, following)
-    after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(problem.of_map(episode.map_number))))
+    after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(here)))
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.information), axis=0), state.present)
-    reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    if gospa is None:
+        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    else:
+        reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
     step = state.step + jnp.arange(len(reward))
     counts = step < ends
     reward = jnp.where(counts, reward, 0.0)

@@ -95,6 +95,7 @@ def cut(episode: Episode, first: Count, steps: int) -> Episode:
         truth=jax.tree.map(whole, episode.truth),
         arrivals=jax.tree.map(whole, episode.arrivals),
         team=of_steps(episode.team, whole),
+        scans=jax.tree.map(whole, episode.scans),
     )
     assert episode.truth is not None, "training episodes are noisy"
     truth = replace(
@@ -102,9 +103,11 @@ def cut(episode: Episode, first: Count, steps: int) -> Episode:
         state=part(episode.truth.state, 1),
         measurement_noise=part(episode.truth.measurement_noise),
     )
-    arrivals = jax.tree.map(lambda x: part(x, 1), episode.arrivals)
-    team = of_steps(episode.team, part)
-    return replace(episode, inputs=part(episode.inputs, 1), truth=truth, arrivals=arrivals, team=team)
+    arrivals, scans = jax.tree.map(lambda x: part(x, 1), episode.arrivals), episode.scans
+    if scans is not None:
+        scans = replace(jax.tree.map(part, scans), alive=part(scans.alive, 1))
+    rest = {"arrivals": arrivals, "scans": scans, "team": of_steps(episode.team, part)}
+    return replace(episode, inputs=part(episode.inputs, 1), truth=truth, **rest)
 
 
 def of_steps(team: TeamDraws | None, change: Callable[[Array], Array]) -> TeamDraws | None:

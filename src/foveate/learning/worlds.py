@@ -13,6 +13,7 @@ from foveate.experiment.presets import PAN
 from foveate.io.jax_settings import quick_compilation
 from foveate.models.problem import Problem
 from foveate.names import Objective
+from foveate.policies.places import token_count
 from foveate.policies.pointer import PointerPolicy
 from foveate.scenario.agent import FreeBody
 from foveate.scenario.field_of_view import SectorView
@@ -131,5 +132,5 @@ def informed(policy: PointerPolicy, world: World, settings: ActorCriticSettings)
 
 
 def most_targets(worlds: Sequence[World]) -> int:
-    """The largest number of targets of all worlds."""
-    return max(world.scenes.targets_max for world in worlds)
+    """The largest number of tokens of all worlds."""
+    return max(token_count(world.problem, world.scenes.targets_max) for world in worlds)

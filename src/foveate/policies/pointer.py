@@ -22,6 +22,7 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import Objective
 from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
+from foveate.policies.places import with_places
 from foveate.policies.tokens import Tokens, token_size, tokens_of, untold
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
@@ -96,6 +97,7 @@ class PointerSettings(Settings):
 
         `others` are further objectives of its training, as in worlds of random robots.
         """
+        searches = problem.detections is not None
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
             (token_size(problem, self.rays), *self.target_widths),
@@ -117,7 +119,7 @@ class PointerSettings(Settings):
         layers = (encoder, context_layers, by_target, by_context, mode, idle)
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
-        told = objective, tells_time, tells_team, self.rays
+        told = objective, tells_time, tells_team, self.rays, searches
         return PointerPolicy(*layers, jnp.array(preference), self.modes, *told)
 
 
@@ -160,6 +162,7 @@ class PointerPolicy(Policy):
     tells_time: bool = eqx.field(static=True)
     tells_team: bool = eqx.field(static=True, default=False)
     rays: int = eqx.field(static=True, default=0)
+    searches: bool = eqx.field(static=True, default=False)
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
@@ -182,7 +185,11 @@ class PointerPolicy(Policy):
 
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
-        return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
+        if not self.searches:
+            return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
+        searched = with_places(observation)
+        told = self.objective, self.tells_time, self.tells_team, self.rays
+        return searched.told(tokens_of(searched.observation, *told))
 
     def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""

@@ -63,16 +63,18 @@ class Explore(Steering):
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
         """The best of coarse places."""
-        worth, position_world = self.places(observation)
+        _, worth, position_world = self.places(observation)
         return position_world[jnp.argmax(worth)], jnp.array(True), memory
 
-    def places(self, observation: Observation) -> tuple[Float[Array, " places"], Float[Array, "places d"]]:
-        """The worth of a look at each coarse place [targets], with the price of the way, and the places."""
+    def places(
+        self, observation: Observation
+    ) -> tuple[Float[Array, " places"], Float[Array, " places"], Float[Array, "places d"]]:
+        """Coarse places: the number of targets expected near each, the same with the price of the way, and where."""
         found = undetected_of(*detections_of(self.problem, observation))
         square_m2 = jnp.sum((found.position_world[:, None] - found.position_world) ** 2, axis=-1)
         reach_m = 0.5 * self.problem.sensor.view.extent.ahead_m
         number = jnp.matmul((square_m2 <= reach_m**2).astype(found.number.dtype), found.number, precision="highest")
-        return number * self.nearness(observation, found.position_world), found.position_world
+        return number, number * self.nearness(observation, found.position_world), found.position_world
 
     def nearness(self, observation: Observation, position_world: Float[Array, "places d"]) -> Float[Array, " places"]:
         """1 / (1 + steps until each place is in view)."""
@@ -88,12 +90,16 @@ class Alternate(Explore):
 
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:
         """The best of tracks and coarse places."""
-        worth, position_world = self.places(observation)
+        _, worth, position_world = self.places(observation)
+        goals = jnp.concatenate([self.problem.motion.position(observation.mean), position_world])
+        best = jnp.argmax(jnp.concatenate([self.saved(observation), worth]))
+        return goals[best], jnp.array(True), memory
+
+    def saved(self, observation: Observation) -> Float[Array, " n"]:
+        """The worth of a look at each track [targets], with the price of the way; 0 for padding."""
         model, _ = detections_of(self.problem, observation)
         assert model.cutoff is not None, "a scenario's model has it"
         assert observation.existence is not None, "observations of such problems have it"
         lost = capped(track_errors(self.problem, observation), model.cutoff) / model.cutoff**2
         means = self.problem.motion.position(observation.mean)
-        saved = jnp.where(observation.present, observation.existence * lost, 0.0) * self.nearness(observation, means)
-        goals = jnp.concatenate([means, position_world])
-        return goals[jnp.argmax(jnp.concatenate([saved, worth]))], jnp.array(True), memory
+        return jnp.where(observation.present, observation.existence * lost, 0.0) * self.nearness(observation, means)

@@ -38,6 +38,10 @@ TIMES_LEFT = (3.0, 10.0, 40.0)
 """Scales [steps] on which the time left is told."""
 
 
+SEARCH_FEATURES = 3
+"""Further features where detections have no ids (`policies.places`)."""
+
+
 class Tokens(NamedTuple):
     """Features of each target, the steering law's action towards it, and the measures of the heuristics.
 
@@ -119,7 +123,7 @@ def token_size(problem: Problem, rays: int = 0) -> int:
     require(problem.motion.begins_with_position, "policy.kind", "pointer", right)
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
-    own += 0 if problem.team is None else TEAM_FEATURES
+    own += (problem.team is not None) * TEAM_FEATURES + (problem.detections is not None) * SEARCH_FEATURES
     return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d + ways_size(d, rays)
 
 

@@ -161,6 +161,14 @@ class Scenario(Settings):
 
     def problem(self) -> Problem:
         """The scenario as arrays, for simulation."""
+        if self.detections is None:
+            return self._problem()
+        with jax.ensure_compile_time_eval():  # what fills a view is counted, also where a program is being traced
+            problem = self._problem()
+            return replace(problem, detections=detection_model(self.detections, problem, self.scenes))
+
+    def _problem(self) -> Problem:
+        """The problem without detections."""
         H = self._observation(self.target.motion(self.dimension, self.tau_s)[-1])
         V = self.sensor.noise(len(H))
         sensor = Sensor(
@@ -172,7 +180,7 @@ class Scenario(Settings):
             uses_missed_detections=self.sensor.missed_detections == "used",
             polar=self.sensor.polar,
         )
-        problem = Problem(
+        return Problem(
             agent=self.agent.agent(),
             sensor=sensor,
             motion=self._motion(self.tau_s),
@@ -184,9 +192,6 @@ class Scenario(Settings):
             obstacles=self._obstacles(),
             team=None if self.team is None else self.team.team(),
         )
-        if self.detections is None:
-            return problem
-        return replace(problem, detections=detection_model(self.detections, problem, self.scenes))
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)

@@ -134,7 +134,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
 
     def columns(state: State):
         belief = {"mean": state.mean, "information": state.information[-1], "present": state.present}
-        return {"pose": state.pose, **belief, **expected(state)}
+        return {"pose": state.pose, **belief, **expected(problem, state)}
 
     def record(outcome: Outcome):
         state = outcome.state

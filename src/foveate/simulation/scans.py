@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import cholesky_spd, inverse_spd, multiply
 from foveate.models.detections import filter as pmb
+from foveate.models.detections.expectation import expected_gospa
 from foveate.models.detections.records import NO_IDENTITY, Population, Scan, Tracks
 from foveate.models.problem import Problem
 from foveate.simulation.draft import Draft, noise_covariance, positions_body
@@ -88,11 +89,16 @@ def update_population(problem: Problem, protocol: Protocol, draft: Draft) -> Dra
     return draft._replace(state=shown(problem, draft.state, updated))
 
 
-def expected(state: State) -> dict[str, Array]:
-    """Existence of the tracks, and the expected number of targets beside them; nothing of detections with ids."""
-    if state.population is None:
+def expected(problem: Problem, state: State) -> dict[str, Array]:
+    """Existence of tracks, number of targets beside them, and GOSPA, as expected; nothing of detections with ids."""
+    population = state.population
+    if problem.detections is None or population is None:
         return {}
-    return {"existence": state.population.tracks.existence, "undetected": jnp.sum(state.population.undetected)}
+    return {
+        "existence": population.tracks.existence,
+        "undetected": jnp.sum(population.undetected),
+        "expected_gospa": expected_gospa(problem, problem.detections, population.tracks, population.undetected),
+    }
 
 
 def dropped(state: State) -> Array | None:
