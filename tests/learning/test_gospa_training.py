@@ -25,6 +25,7 @@ SMALL = replace(
 LEARNER = ActorCriticSettings(objective="gospa", epochs=1, episodes=8, held_out=4, minibatches=2, check_every=1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_training_ends_with_the_verdict_on_gospa(tmp_path, monkeypatch):
     monkeypatch.setattr("foveate.evaluation.verdict.EPISODES", 16)

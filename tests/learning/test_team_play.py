@@ -96,6 +96,7 @@ def test_the_critic_sees_the_tokens_of_all_robots(played):
         np.testing.assert_allclose(found, whole.log_density[m, 2], atol=1e-3)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_training_ends_with_a_policy_for_teams(tmp_path):
     outcome = train(EXPERIMENT, tmp_path / "run")

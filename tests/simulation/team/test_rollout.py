@@ -185,6 +185,7 @@ def test_what_a_team_lacks_is_rejected():
         log_dets(problem, policy, episode, TRUE, key)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_fused_beliefs_are_never_overconfident():
     """NEES of 1,000 episodes where messages are lost and late, and older than the memory: 4 is right, 0 too careful."""
