@@ -26,7 +26,7 @@ TRACKS = ROOT / ".." / "shared" / "tracks"
 WANTED = {
     *("paper", "search", "quadrotor", "pan", "pan-tilt", "tutorial", "zara01", "sind"),
     *("rest-200", "set-tracking", "commands-12", "fast-drone", "slow-robot", "crowd-20", "long-1000"),
-    *("team-tracking", "team-lossy"),
+    *("team-tracking", "team-lossy", "regions"),
 }
 
 
@@ -51,7 +51,8 @@ def test_a_world_is_an_experiment_that_can_be_simulated(name):
         return rollout(problem, policy, training_episode(problem, short, key, noise=True), TRUE, key)
 
     trace = played(jax.random.key(0))
-    assert trace.log_det.shape == (2, scenario.scenes.targets_max)
+    beliefs = scenario.scenes.targets_max if scenario.detections is None else scenario.detections.tracks
+    assert trace.log_det.shape == (2, beliefs)
     assert np.isfinite(trace.log_det).all()
     assert np.isfinite(trace.pose).all()
 

@@ -9,6 +9,7 @@ import shapely
 from foveate.geometry import sight
 from foveate.geometry.distance_grid import DistanceGrid, Nodes
 from foveate.geometry.shapes import Shape, rectangle, union_distance
+from foveate.geometry.ways import Ways
 from foveate.models.obstacles import Obstacles
 from foveate.models.sensor import Softness
 
@@ -113,7 +114,9 @@ def test_a_fan_is_spread_evenly():
 
 
 def obstacles_of(grid: DistanceGrid, samples: int = 200) -> Obstacles:
-    return Obstacles(grid, jnp.asarray(0.2), jnp.zeros((1, 2)), training=1, samples=samples)
+    one, none = jnp.zeros((1, 1), int), jnp.zeros((1, 1, 1))  # a lattice of one node: no way is asked for
+    ways = Ways(one, one, none, none.astype(int), jnp.zeros(2), jnp.asarray(1.0), counts=(1, 1))
+    return Obstacles(grid, jnp.asarray(0.2), jnp.zeros((1, 2)), ways, training=1, samples=samples)
 
 
 def test_the_soft_weight_becomes_the_hard_one():

@@ -57,6 +57,9 @@ def required(cls: Any) -> dict[str, Any]:
         foveate.PrismView: {"base": foveate.TriangleView()},
         foveate.RegionSettings: {"low_m": (0.0, 0.0), "high_m": (1.0, 1.0)},
         foveate.OccupancyObstacles: {"file": "map.yaml"},
+        foveate.TeamSettings: {"agents": 2},
+        foveate.BirthSettings: {"rate": 0.1},
+        foveate.DetectionSettings: {"low_m": (0.0, 0.0), "high_m": (1.0, 1.0)},
         foveate.LinearTarget: dict.fromkeys("ABWZ", ((1.0,),)) | {"prior": ((1.0,),)},
     }.get(cls, {})
 

@@ -22,7 +22,7 @@ def surroundings(
     """What an observation says, or the robot's map at points [m]; all is free where there are no obstacles."""
     if observation.surroundings is not None:
         return observation.surroundings
-    problem, count, most = robot.problem, len(points_world), RANGE_DEPTHS * robot.extent.ahead_m
+    problem, count, most = robot.problem, points_world.shape[0], RANGE_DEPTHS * robot.extent.ahead_m
     space, obstacles = problem.agent.space, problem.obstacles
     if obstacles is None:
         away = jnp.linalg.norm(points_world - space.position(observation.pose), axis=-1)
@@ -41,7 +41,7 @@ def ways_of(
 
     Among obstacles it aims along the ways, which are unfolded. Without rays it aims at the targets, without features.
     """
-    depth, count = robot.extent.ahead_m, len(position_body)
+    depth, count = robot.extent.ahead_m, position_body.shape[0]  # not len(): an exported file has any number
     if rays == 0:
         return position_body, jnp.broadcast_to(standoff_m, count), []
     space = robot.problem.agent.space
