@@ -54,6 +54,7 @@ RUN_HERE = {
     "api.md",
     "ros.md",
     "obstacles.md",
+    "teams.md",
 }
 QUOTED = {"equations.md"}
 """Lines of the code itself, which tests/test_docs.py finds there."""
