@@ -258,6 +258,14 @@ def test_the_page_on_obstacles_runs(reader: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.slow
+def test_the_page_on_teams_runs(reader: Path):
+    fresh(reader / "trained" / "any", "any")
+    result = run_python(ROOT / "docs" / "teams.md")["result"]
+    assert {row.agents for row in result.rows} == {4}
+    assert len({row.method for row in result.rows}) == 2
+
+
+@pytest.mark.slow
 def test_the_page_on_the_comparison_runs(reader: Path, capsys: pytest.CaptureFixture[str]):
     run_python(ROOT / "docs" / "comparison.md")
     assert "NearAndUncertain on table1" in capsys.readouterr().out
