@@ -260,6 +260,7 @@ def test_the_page_on_obstacles_runs(reader: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.slow
 def test_the_page_on_teams_runs(reader: Path):
     fresh(reader / "trained" / "any", "any")
+    (reader / "team.toml").write_text("[scenario.team]\nagents = 4\n", encoding="utf-8")
     result = run_python(ROOT / "docs" / "teams.md")["result"]
     assert {row.agents for row in result.rows} == {4}
     assert len({row.method for row in result.rows}) == 2
