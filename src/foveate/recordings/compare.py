@@ -20,6 +20,7 @@ from foveate.names import GATE, Part
 from foveate.recordings import replay as replays
 from foveate.recordings.choice import Candidate, best_of
 from foveate.recordings.formats import AnyPath, load_window
+from foveate.recordings.maps import under, warnings_of
 from foveate.recordings.methods import method_in, replay_methods
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.outliers import clean, lines_of
@@ -38,6 +39,7 @@ class ReplaySettings:
     """Settings of a replay beside the experiment and the recording; times in [s], poses in [m, rad].
 
     With a `split`, `part` was replayed. `candidates` were compared on the part to choose on; `run` is the best of them.
+    `map`: the file of the robot's map, if one was given.
     """
 
     run: str
@@ -51,6 +53,7 @@ class ReplaySettings:
     split: Shares | None = None
     part: Part | None = None
     candidates: tuple[Candidate, ...] = ()
+    map: str | None = None
 
     def __post_init__(self) -> None:
         seed_number(self.seed, "seed")
@@ -103,6 +106,7 @@ def replay(
     max_gap: float | None = None,
     max_speed: float | None = None,
     gate: float | None = GATE,
+    map: str | Path | None = None,
     seed: int = 0,
     scenario: Scenario | None = None,
     progress: bool = True,
@@ -128,12 +132,14 @@ def replay(
         max_speed: fastest that a target can move [m/s]: a step above is a jump, where its track is cut, or a wrong fix,
             which is left out; by default steps far above those of the track; infinity keeps all.
         gate: probability of the filter's chi-square gate; None accepts every measurement.
+        map: the YAML file of the robot's map (ROS's map_server), in the recording's frame: the robot keeps out of its
+            walls, and nobody sees through them. By default the scenario's own obstacles, unless they are random.
         seed: of the noise and of random starts.
         scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
     subjects = [subject_of(each, scenario) for each in (policy, *candidates)]
-    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, seed, not progress)
+    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, map, seed, not progress)
     return _judged(subjects, load_window(recording, start, end), replay_methods(method), given)
 
 
@@ -149,6 +155,7 @@ class _Given(NamedTuple):
     max_gap: float | None
     max_speed: float | None
     gate: float | None
+    map: str | Path | None
     seed: int
     quiet: bool
 
@@ -167,9 +174,11 @@ def _judged(subjects: Sequence[Subject], recording: Recording, methods: Sequence
 
 
 def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], given: _Given) -> ReplayResult:
-    scenario, shares = subject.experiment.scenario, None if given.split is None else parsed_split(given.split)
-    mine = moved(recording, scenario.origin)
+    shares = None if given.split is None else parsed_split(given.split)
+    mine = moved(recording, subject.experiment.scenario.origin)
     used = prepared(mine if shares is None else part_of(mine, shares, given.part), given.max_speed)
+    scenario, warnings = under(used, subject.experiment.scenario, given.map)
+    subject = replace(subject, experiment=replace(subject.experiment, scenario=scenario))
     settings = ReplaySettings(
         run=subject.name,
         recording=used.short_name if shares is None else f"{used.short_name}, {span_of(used)}",
@@ -181,8 +190,9 @@ def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], gi
         starts=agent_starts(used, scenario, given.agent_start, given.starts, given.seed),
         split=shares,
         part=None if shares is None else given.part,
+        map=None if given.map is None else str(given.map),
     )
-    return _run(subject, methods, used, settings, given.quiet)
+    return _run(subject, methods, used, settings, warnings, given.quiet)
 
 
 def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
@@ -192,7 +202,12 @@ def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
 
 
 def _run(
-    subject: Subject, methods: Sequence[str], part: Recording, settings: ReplaySettings, quiet: bool
+    subject: Subject,
+    methods: Sequence[str],
+    part: Recording,
+    settings: ReplaySettings,
+    doubts: Sequence[str],
+    quiet: bool,
 ) -> ReplayResult:
     scenario, box_world = subject.experiment.scenario, jnp.asarray(np.stack(part.extent), float)
     rows, traces, warnings, policies = [], {}, [], {}
@@ -200,7 +215,8 @@ def _run(
         for start in settings.starts:
             ready = prepare_replay(scenario, part, start, settings.max_gap_s, settings.seed, settings.gate)
             if not rows:  # the recording is the same from every start
-                warnings = [*other_period(subject), *warnings_for(scenario, part, ready.slots, settings.max_gap_s)]
+                found = warnings_for(scenario, part, ready.slots, settings.max_gap_s)
+                warnings = [*doubts, *other_period(subject), *found, *warnings_of(ready.inside, ready.slots)]
                 for line in (*part.notes, *(f"warning: {line}" for line in warnings)):
                     bar.say(line)
                 steps = len(ready.slots.times_s) - 1

@@ -20,6 +20,7 @@ from foveate.models.gate import gate_limit
 from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.names import GATE
+from foveate.recordings.maps import in_obstacles, require_dimension
 from foveate.recordings.recording import Recording, Slots, resample
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import first_error, first_mean
@@ -45,6 +46,8 @@ class ReplayRow:
     are correlated, count as one. `seen_fraction` is the share of tracks measured at least once, `seen_time_fraction`
     that of target-steps with a measurement, `longest_unseen_s` the longest time of any track without one. `lost` counts
     tracks unseen at their end with an error above the depth of the view, `rejected` measurements outside the gate.
+    `contacts` counts the agent's steps that an obstacle has ended, and `in_obstacles` the instants of targets that are
+    inside of one, by the map; null without obstacles.
     """
 
     method: str
@@ -65,17 +68,23 @@ class ReplayRow:
     lost: int
     rejected: int
     step_time_s: float
+    contacts: int | None = None
+    in_obstacles: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedReplay:
-    """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y)."""
+    """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y).
+
+    `inside`: instants at which a target is inside of an obstacle; None without obstacles.
+    """
 
     protocol: Protocol
     problem: Problem
     slots: Slots
     episode: Episode
     truth: np.ndarray
+    inside: np.ndarray | None
     depth_m: float
     agent_start: tuple[float, ...]
     seed: int
@@ -121,6 +130,7 @@ def prepare_replay(
         slots=slots,
         episode=episode,
         truth=truth,
+        inside=in_obstacles(problem.obstacles, slots),
         depth_m=float(scenario.view.depth_m),
         agent_start=tuple(map(float, agent_start)),
         seed=seed,
@@ -132,11 +142,7 @@ def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
         raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
-    if recording.dimension != scenario.dimension:
-        raise InputError(
-            f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has "
-            f"{scenario.dimension}"
-        )
+    require_dimension(recording, scenario)
     # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
     far_m = float(np.abs(np.stack(recording.extent)).max())
     rounding_m = np.spacing(np.float32(far_m))
@@ -211,6 +217,8 @@ def _row(ready: PreparedReplay, method: str, trace: Trace, step_time_s: float) -
         lost=lost,
         rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
         step_time_s=step_time_s,
+        contacts=None if trace.contacts is None else int(trace.contacts[-1]),
+        in_obstacles=None if ready.inside is None else int(ready.inside.sum()),
     )
 
 

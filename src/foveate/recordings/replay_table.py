@@ -19,6 +19,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "NEES of undetected": ("nees_unseen", ".2f"),
     "lost": ("lost", ".1f"),
     "rejected": ("rejected", ".1f"),
+    "contacts": ("contacts", ".1f"),
+    "in obstacles": ("in_obstacles", ".1f"),
 }
 """Heading of each mean in the table: the field of `ReplayRow`, and its format."""
 DETAILS = ("NEES of detected", "NEES of undetected", "rejected")
@@ -27,18 +29,26 @@ NOTE = (
     "longest time without a measurement of any track. log det of the information, RMSE and NEES: means over tracks and "
     "steps. lost: tracks not in view at their end, with an error above the depth of the view."
 )
+OF_OBSTACLES = ("contacts", "in obstacles")
+NOTE_OF_OBSTACLES = (
+    " contacts: steps that an obstacle has ended. in obstacles: instants at which a recorded target is inside of one "
+    "by the map."
+)
 
 
 def replay_table(recording: str, rows: Sequence[ReplayRow]) -> Table:
     """Means of each method over the starts, of the rows of a recording of this name."""
     by_method = group_by(rows, lambda row: row.method)
+    has_obstacles = rows[0].contacts is not None
+    shown = {name: column for name, column in COLUMNS.items() if has_obstacles or name not in OF_OBSTACLES}
     lines = [
-        (method, *(_mean([getattr(row, name) for row in ours], form) for name, form in COLUMNS.values()))
+        (method, *(_mean([getattr(row, name) for row in ours], form) for name, form in shown.values()))
         for method, ours in by_method.items()
     ]
     starts = counted(max(map(len, by_method.values())), "start")
     title = f"{recording}: {counted(rows[0].targets, 'track')}, mean of {starts}"
-    return Table(title=title, note=NOTE, header=("method", *COLUMNS), rows=tuple(lines), details=DETAILS)
+    note = NOTE + NOTE_OF_OBSTACLES * has_obstacles
+    return Table(title=title, note=note, header=("method", *shown), rows=tuple(lines), details=DETAILS)
 
 
 def _mean(values: Sequence[float | int | None], form: str) -> str:

@@ -30,6 +30,7 @@ def run(options: Replay) -> int:
         max_speed=options.max_speed,
         gate=options.gate,
         seed=options.seed,
+        map=options.map,
     )
     print_tables(result.table, wide=options.wide)
     if options.json is not None:
