@@ -132,9 +132,9 @@ def test_a_fitted_scenario_has_the_map(recording, map_file, tmp_path):
     assert count == pytest.approx(occupied.sum(), abs=4)
 
 
-def test_in_space_walls_are_as_high_as_the_recording(map_file):
+def test_in_space_walls_hold_the_heights_of_the_recording(map_file):
     flight = made(track(np.arange(9.0), np.linspace([-5.0, 0.0, 1.0], [5.0, 2.0, 4.0], 9)))
-    assert map_of(flight, map_file).heights_m == (1.0, 4.0)
+    assert map_of(flight, map_file).heights_m == (-1.0, 6.0)
     own = OccupancyObstacles(file="another.yaml", heights_m=(0.0, 2.0), robot_radius_m=0.4)
     assert map_of(flight, map_file, own) == replace(own, file=str(map_file), targets="free")
 

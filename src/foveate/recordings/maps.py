@@ -19,13 +19,15 @@ from foveate.scenario.scenes import SceneSettings
 
 RANDOM = "the scenario's obstacles are random maps, which the recording is not in: replayed in the open; give the map"
 """Warning of a replay in the open."""
+WALL_M = 2.0
+"""Height of the walls below the lowest fix and above the highest, in space [m]: a map of the plane says none."""
 
 
 def map_of(recording: Recording, file: str | Path, like: BaseObstacles | None = None) -> OccupancyObstacles:
     """Obstacles of a map's YAML file that recorded targets may pass, where the map is wrong.
 
-    The robot has the size that it has among the obstacles `like`. In space the walls stand as high as those, or as the
-    recording reaches.
+    The robot has the size that it has among the obstacles `like`. In space the walls stand between the heights of
+    those, or WALL_M beyond those of the recording.
 
     Raises:
         InputError: The map cannot be read, or does not hold all fixes of the recording.
@@ -41,7 +43,7 @@ def map_of(recording: Recording, file: str | Path, like: BaseObstacles | None = 
     heights = None
     if recording.dimension == 3:
         own = like.heights_m if isinstance(like, OccupancyObstacles) else None
-        heights = own or (float(lower[2]), float(max(upper[2], lower[2] + grid.cell_m)))
+        heights = own or (float(lower[2]) - WALL_M, float(upper[2]) + WALL_M)
     size = {} if like is None else {"robot_radius_m": like.robot_radius_m}
     return OccupancyObstacles(file=str(file), heights_m=heights, targets="free", **size)
 
