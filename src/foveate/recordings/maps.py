@@ -44,8 +44,8 @@ def map_of(recording: Recording, file: str | Path, like: BaseObstacles | None = 
     if recording.dimension == 3:
         own = like.heights_m if isinstance(like, OccupancyObstacles) else None
         heights = own or (float(lower[2]) - WALL_M, float(upper[2]) + WALL_M)
-    size = {} if like is None else {"robot_radius_m": like.robot_radius_m}
-    return OccupancyObstacles(file=str(file), heights_m=heights, targets="free", **size)
+    radius_m = BaseObstacles.robot_radius_m if like is None else like.robot_radius_m
+    return OccupancyObstacles(file=str(file), heights_m=heights, targets="free", robot_radius_m=radius_m)
 
 
 def under(recording: Recording, scenario: Scenario, file: str | Path | None) -> tuple[Scenario, list[str]]:
