@@ -6,7 +6,7 @@ from foveate.plotting.animation import animate
 from foveate.plotting.episode_data import EpisodeData, episode_data
 from foveate.plotting.replay_figure import replay_figure
 from foveate.recordings.compare import ReplayResult
-from foveate.recordings.replay import PreparedReplay
+from foveate.recordings.measures import PreparedReplay
 from foveate.simulation.records import Trace
 
 

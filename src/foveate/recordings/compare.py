@@ -20,13 +20,15 @@ from foveate.names import GATE, Part
 from foveate.recordings import replay as replays
 from foveate.recordings.choice import Candidate, best_of
 from foveate.recordings.formats import AnyPath, load_window
+from foveate.recordings.measures import PreparedReplay, ReplayRow
 from foveate.recordings.methods import method_in, replay_methods
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.outliers import clean, lines_of
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording, moved
-from foveate.recordings.replay import PreparedReplay, ReplayRow, prepare_replay
+from foveate.recordings.replay import prepare_replay
 from foveate.recordings.replay_table import replay_table
+from foveate.recordings.scans import detecting, outside
 from foveate.recordings.split import Shares, parsed_split, part_of, span_of
 from foveate.recordings.starts import agent_starts
 from foveate.scenario.scenario import Scenario
@@ -103,6 +105,8 @@ def replay(
     max_gap: float | None = None,
     max_speed: float | None = None,
     gate: float | None = GATE,
+    detection_probability: float | None = None,
+    clutter: float | None = None,
     seed: int = 0,
     scenario: Scenario | None = None,
     progress: bool = True,
@@ -128,13 +132,22 @@ def replay(
         max_speed: fastest that a target can move [m/s]: a step above is a jump, where its track is cut, or a wrong fix,
             which is left out; by default steps far above those of the track; infinity keeps all.
         gate: probability of the filter's chi-square gate; None accepts every measurement.
+        detection_probability: probability that a target in the view is detected, in place of certain detections with
+            ids; with this or `clutter` detections have no ids, and the filter is that of `foveate.DetectionTracker`.
+        clutter: expected number of false alarms a step, uniform in the view.
         seed: of the noise and of random starts.
         scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
     subjects = [subject_of(each, scenario) for each in (policy, *candidates)]
-    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, seed, not progress)
-    return _judged(subjects, load_window(recording, start, end), replay_methods(method), given)
+    given = _Given(
+        *(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, detection_probability, clutter),
+        *(seed, not progress),
+    )
+    has_ids = subjects[0].experiment.scenario.detections is None and detection_probability is clutter is None
+    if candidates and not has_ids:
+        raise InputError("candidates: expected none with detections without ids: choose by GOSPA of a replay of each")
+    return _judged(subjects, load_window(recording, start, end), replay_methods(method, has_ids), given)
 
 
 class _Given(NamedTuple):
@@ -149,6 +162,8 @@ class _Given(NamedTuple):
     max_gap: float | None
     max_speed: float | None
     gate: float | None
+    detection_probability: float | None
+    clutter: float | None
     seed: int
     quiet: bool
 
@@ -182,7 +197,9 @@ def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], gi
         split=shares,
         part=None if shares is None else given.part,
     )
-    return _run(subject, methods, used, settings, given.quiet)
+    numbers = given.detection_probability, given.clutter
+    acting = detecting(scenario, used, settings.max_gap_s, given.gate, *numbers)
+    return _run(subject, acting, methods, used, settings, given.quiet)
 
 
 def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
@@ -192,15 +209,23 @@ def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
 
 
 def _run(
-    subject: Subject, methods: Sequence[str], part: Recording, settings: ReplaySettings, quiet: bool
+    trained: Subject,
+    scenario: Scenario,
+    methods: Sequence[str],
+    part: Recording,
+    settings: ReplaySettings,
+    quiet: bool,
 ) -> ReplayResult:
-    scenario, box_world = subject.experiment.scenario, jnp.asarray(np.stack(part.extent), float)
+    """Replay in a scenario: that of the subject's training, or the same with detections without ids."""
+    subject = replace(trained, experiment=replace(trained.experiment, scenario=scenario))
+    box_world = jnp.asarray(np.stack(part.extent), float)
     rows, traces, warnings, policies = [], {}, [], {}
     with Bar("replaying", len(settings.starts) * len(methods), "runs", quiet) as bar:
         for start in settings.starts:
             ready = prepare_replay(scenario, part, start, settings.max_gap_s, settings.seed, settings.gate)
             if not rows:  # the recording is the same from every start
-                warnings = [*other_period(subject), *warnings_for(scenario, part, ready.slots, settings.max_gap_s)]
+                doubts = warnings_for(trained.experiment.scenario, part, ready.slots, settings.max_gap_s)
+                warnings = [*other_period(subject), *doubts, *outside(scenario, ready.slots)]
                 for line in (*part.notes, *(f"warning: {line}" for line in warnings)):
                     bar.say(line)
                 steps = len(ready.slots.times_s) - 1

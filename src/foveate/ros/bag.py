@@ -14,7 +14,7 @@ from foveate.deploy import kalman
 from foveate.errors import InputError
 from foveate.recordings.compare import ReplayResult
 from foveate.recordings.definitions import typestore
-from foveate.recordings.replay import PreparedReplay
+from foveate.recordings.measures import PreparedReplay
 from foveate.ros.markers import belief_shapes, quaternion_of, truth_shapes, view_shapes
 from foveate.ros.messages import Messages, position_of, stamp_of
 from foveate.ros.node import MOST_TOPICS, topic_name
