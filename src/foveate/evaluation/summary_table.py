@@ -21,7 +21,7 @@ def plus_minus(mean: float, interval: tuple[float, float] | None, sign: str = ""
 
 
 def _nees(cell: Summary) -> str:
-    return f"{cell.nees:.1f} ({cell.nees_band[0]:.1f}-{cell.nees_band[1]:.1f})"
+    return f"{number(cell.nees, 1)} ({cell.nees_band[0]:.1f}-{cell.nees_band[1]:.1f})"
 
 
 COLUMNS: dict[str, Callable[[Summary], str]] = {

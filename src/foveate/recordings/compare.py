@@ -118,36 +118,28 @@ def replay(
     Args:
         policy: as for `foveate.evaluate`.
         recording: files with the header time_s,track_id,x_m,y_m[,z_m], or what `foveate.load_recording` reads.
-        method: as for `foveate.evaluate`; also planners in receding horizon: "icr" as published, "icr-4" from 4
-            starts, "refine-15" from the policy's actions by 15 steps of ascent.
+        method: as for `foveate.evaluate`; also planners: "icr" as published, "icr-4", "refine-15" (from the policy).
         start: first time to replay [s].
         end: last time to replay [s].
         split: shares of that time to train on, to choose on and to judge on, as "60,20,20".
         part: part of the split to replay: "train", "choose" or "judge".
         candidates: further policies; the best of all on the part to choose on is replayed on the part to judge on.
-        agent_start: pose to start from [m, rad], as numbers, on the recording's map if that is in metres; by default
-            the middle of the recording.
+        agent_start: pose to start from [m, rad], on the recording's map if that is in metres; by default its middle.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
-        max_speed: fastest that a target can move [m/s]: a step above is a jump, where its track is cut, or a wrong fix,
-            which is left out; by default steps far above those of the track; infinity keeps all.
+        max_speed: fastest that a target can move [m/s]: at a faster step its track is cut, or a wrong fix left out; by
+            default steps far above those of the track; infinity keeps all.
         gate: probability of the filter's chi-square gate; None accepts every measurement.
-        detection_probability: probability that a target in the view is detected, in place of certain detections with
-            ids; with this or `clutter` detections have no ids, and the filter is that of `foveate.DetectionTracker`.
+        detection_probability: of a target in the view; with it or `clutter` detections have no ids.
         clutter: expected number of false alarms a step, uniform in the view.
         seed: of the noise and of random starts.
         scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
     subjects = [subject_of(each, scenario) for each in (policy, *candidates)]
-    given = _Given(
-        *(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, detection_probability, clutter),
-        *(seed, not progress),
-    )
-    has_ids = subjects[0].experiment.scenario.detections is None and detection_probability is clutter is None
-    if candidates and not has_ids:
-        raise InputError("candidates: expected none with detections without ids: choose by GOSPA of a replay of each")
-    return _judged(subjects, load_window(recording, start, end), replay_methods(method, has_ids), given)
+    numbers = gate, detection_probability, clutter, seed
+    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, *numbers, not progress)
+    return _judged(subjects, load_window(recording, start, end), method, given)
 
 
 class _Given(NamedTuple):
@@ -168,12 +160,20 @@ class _Given(NamedTuple):
     quiet: bool
 
 
-def _judged(subjects: Sequence[Subject], recording: Recording, methods: Sequence[str], given: _Given) -> ReplayResult:
+def _judged(
+    subjects: Sequence[Subject], recording: Recording, method: str | Sequence[str], given: _Given
+) -> ReplayResult:
     """Replay the only subject, or the best of several on the part to choose on."""
+    has_ids = (
+        subjects[0].experiment.scenario.detections is None and given.detection_probability is given.clutter is None
+    )
+    methods = replay_methods(method, has_ids)
     if len(subjects) == 1:
         return _replayed(subjects[0], recording, methods, given)
     if given.split is None or given.part != "judge":
         raise InputError("candidates: expected a split, on whose middle part they are compared, and part judge")
+    if not has_ids:
+        raise InputError("candidates: expected none with detections without ids: choose by GOSPA of a replay of each")
     choosing = given._replace(part="choose")
     compared = {each.name: _replayed(each, recording, ["policy"], choosing).rows for each in subjects}
     best, candidates = best_of(subjects, compared)

@@ -35,7 +35,12 @@ class Published(NamedTuple):
 
 
 def write_bag(result: ReplayResult, path: Path) -> str:
-    """Write the first method of a result, from the first start; return its name. Raises as `write_replay`."""
+    """Write the first method of a result, from the first start; return its name. Raises as `write_replay`.
+
+    Raises InputError for detections without ids, too: beliefs in a bag are by the ids of targets.
+    """
+    if result.experiment.scenario.detections is not None:
+        raise InputError(f"{path}: expected a folder, with detections without ids: a bag has beliefs by id")
     method = next(iter(result.traces))
     write_replay(*result.traces[method], path, result.recording.clock_origin_s)
     return method
