@@ -94,8 +94,9 @@ TESTED_ELSEWHERE = {
     "recordings.replay_table": "cli/test_tables.py",
     **{
         f"plotting.{name}": "plotting/test_figures.py"
-        for name in ("animation", "episode_data", "replay_figure", "scene")
+        for name in ("animation", "episode_data", "replay_figure", "scene", "snapshot")
     },
+    "plotting.track_data": "plotting/test_undetected.py",
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
     **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},
     **dict.fromkeys(("study.jobs", "study.methods", "study.study"), "study/test_run.py"),
