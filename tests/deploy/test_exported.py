@@ -92,16 +92,20 @@ def test_a_loaded_file_decides_as_the_policy_it_is_from(policy, file):
     loaded = foveate.load(file)
     assert (loaded.scenario, loaded.axes) == (policy.scenario, policy.axes)
     arrays = draws()
-    for i in range(3, 9):
-        n = int(arrays["present"][i].sum())
-        belief = foveate.Belief(arrays["mean"][i, :n], information=arrays["information"][i, :n])
+    beliefs = [
+        foveate.Belief(mean, information=information, present=present)
+        for mean, information, present in zip(
+            *(arrays[name] for name in ("mean", "information", "present")), strict=True
+        )
+    ]
+    for belief, pose in zip(beliefs[:6], arrays["pose"], strict=False):
         for number in (0, 5):
-            expected = policy(belief, arrays["pose"][i], map_number=number)
-            np.testing.assert_allclose(loaded(belief, arrays["pose"][i], map_number=number), expected, atol=1e-5)
+            expected = policy(belief, pose, map_number=number)
+            np.testing.assert_allclose(loaded(belief, pose, map_number=number), expected, atol=1e-5)
     other = replace(policy.scenario, obstacles=CircleObstacles(maps=1, test_maps=0))
     moved = loaded.for_scenario(other)
-    expected = policy.for_scenario(other)(belief, arrays["pose"][i])
-    np.testing.assert_allclose(moved(belief, arrays["pose"][i]), expected, atol=1e-5)
+    expected = policy.for_scenario(other)(beliefs[0], arrays["pose"][0])
+    np.testing.assert_allclose(moved(beliefs[0], arrays["pose"][0]), expected, atol=1e-5)
     with pytest.raises(InputError, match="serves its own robot and targets"):
         loaded.for_scenario(replace(policy.scenario, tau_s=0.25))
     with pytest.raises(InputError, match="is an exported file already"):
