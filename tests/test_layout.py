@@ -44,6 +44,7 @@ TESTED_ELSEWHERE = {
         f"deploy.onnx.{name}": "deploy/onnx/test_export.py"
         for name in ("arithmetic", "decision", "graph", "indexing", "shapes", "trace")
     },
+    "deploy.onnx.session": "deploy/test_exported.py",
     **dict.fromkeys(("deploy.belief", "deploy.policy"), "test_api.py"),
     **dict.fromkeys(("deploy.tracks", "deploy.history", "deploy.observing"), "deploy/test_tracker.py"),
     "deploy.kalman_polar": "simulation/test_polar.py",  # beside the filter that it equals

@@ -18,7 +18,7 @@ class Command:
 
     def check(self) -> None:
         """Raise InputError for inputs that do not exist, before anything is imported that takes seconds."""
-        for name in ("run", "config", "recording", "scenes"):
+        for name in ("run", "config", "recording", "scenes", "map"):
             value = getattr(self, name, None)
             for each in value if isinstance(value, tuple) else () if value is None else (value,):
                 _check_exists(name, each)
@@ -68,6 +68,10 @@ class ReadingCommand(Command):
     max_speed: Annotated[float | None, option("M/S")] = None
     """Fastest that a target can move [m/s]: a step above is a jump, where its track is cut, or a wrong fix, which is
     left out. inf keeps all (default: steps far above those of the track)."""
+
+    map: Annotated[Path | None, option("map.yaml")] = None
+    """Map of the robot, in the recording's frame: the YAML file of ROS's map_server. Its walls stop the robot and hide
+    what is behind them."""
 
     def reading(self) -> dict[str, Any]:
         """The arguments of `foveate.load_recording` beside the path."""

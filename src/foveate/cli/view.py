@@ -52,7 +52,7 @@ class View(ReadingCommand):
         """Raise InputError where options are out of range, or exclude each other, or inputs do not exist."""
         if self.scenes is not None and self.recording is not None:
             raise InputError("--scenes and --recording: expected one of them")
-        if self.recording is None and (given := [name for name, value in self.reading().items() if value]):
+        if self.recording is None and (given := self._of_recording()):
             raise InputError(f"--{given[0]}: expected a --recording beside it")
         if self.scene is not None and self.recording is not None:
             raise InputError("--scene: a recording is one scene")
@@ -63,3 +63,7 @@ class View(ReadingCommand):
         super().check()
         if self.record is None:
             check_port(self.port)
+
+    def _of_recording(self) -> list[str]:
+        """Options given that are of a recording."""
+        return [name for name, value in (*self.reading().items(), ("map", self.map)) if value]

@@ -47,6 +47,9 @@ class DetectionTracker(Observing):
     finds out. Ids of tracks are its own. It reports the tracks that exist with a probability above the settings'
     `confirm`; a track that is not detected where it should be becomes less likely, and ends.
 
+    Where false alarms are expected, a detection beyond the scenario's view counts as one: set the view at least as wide
+    as the detector's.
+
     `undetected` (cells) is the expected number of targets never detected in each cell of the settings' box. Numbers are
     float32, so that the world's origin should be near the robot's working area. The first `predict` and the first
     `update` compile, for a few seconds; no later one does.

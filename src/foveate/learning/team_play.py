@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from foveate.experiment.learners import Objective
 from foveate.geometry.linalg import log_det_spd
-from foveate.learning.trajectories import Trajectory, log_density, rewards
+from foveate.learning.trajectories import Trajectory, rewards, sampled
 from foveate.models.problem import Problem
 from foveate.policies.pointer import PointerPolicy, command
 from foveate.policies.tokens import Tokens
@@ -41,25 +41,18 @@ def play_team(
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
 
     def decide(observation, memory, key):
-        mode_key, noise_key = jax.random.split(key)
-        tokens = policy.tokens(observation)
-        modes = policy.modes(tokens)
-        mode = jax.random.categorical(mode_key, modes.log_weight)
-        std = action_std * tokens.unit
-        action = modes.action[mode] + std * jax.random.normal(noise_key, std.shape)
-        notes = (tokens, action, log_density(modes, action, std))
-        return command(observation, action), policy.claimed(observation, mode), memory, notes
+        mode, sample = sampled(policy, observation, action_std, key)
+        return command(observation, sample.action), policy.claimed(observation, mode), memory, sample
 
     def record(done: TeamOutcome):
         log_det = jnp.mean(log_det_spd(done.state.central.information), axis=0)
         return done.notes, log_det, jnp.any(done.drafts.measured, axis=0)
 
-    last, (notes, log_det, visible) = simulate(problem, decide, episode, protocol, key, record, state=state)
+    last, (sample, log_det, visible) = simulate(problem, decide, episode, protocol, key, record, state=state)
     problem = problem.of_map(episode.map_number)
     predicted = step.predict(problem, last, following)
     after = jax.vmap(policy.tokens)(step.observations(problem, last, predicted, following, episode.horizon))
-    tokens, action, density = notes
-    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
+    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.central.information), axis=0), episode.present)
     reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
     number = first_step + jnp.arange(len(reward))
@@ -70,7 +63,7 @@ def play_team(
     def of_robot(tokens: Tokens, action, density) -> Trajectory:
         return Trajectory(tokens, action, density, reward, counts, number == ends - 1, seen)
 
-    return jax.vmap(of_robot, (1, 1, 1))(tokens, action, density), last
+    return jax.vmap(of_robot, (1, 1, 1))(tokens, sample.action, sample.log_density), last
 
 
 def as_one_set(tokens: Tokens) -> Tokens:

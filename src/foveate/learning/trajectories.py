@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from foveate.experiment.learners import Objective
 from foveate.geometry.linalg import log_det_spd
@@ -17,7 +17,7 @@ from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.policies.pointer import Modes, PointerPolicy, command
 from foveate.policies.tokens import Tokens
-from foveate.simulation.records import Episode, Protocol, State, observe, per_target
+from foveate.simulation.records import Episode, Observation, Protocol, State, observe, per_target
 from foveate.simulation.rollout import Outcome, simulate
 from foveate.simulation.scans import expected
 from foveate.simulation.step import predict
@@ -50,6 +50,28 @@ def log_density(modes: Modes, action: Float[Array, " n_u"], action_std: Float[Ar
     return jax.nn.logsumexp(jax.nn.log_softmax(modes.log_weight) - exponent)
 
 
+class Sample(NamedTuple):
+    """An action that was sampled from a policy, what the policy was told, and the log density of the action."""
+
+    tokens: Tokens
+    action: Float[Array, " n_u"]
+    log_density: Scalar
+
+
+def sampled(
+    policy: PointerPolicy, observation: Observation, action_std: Scalar, key: Key
+) -> tuple[Int[Array, ""], Sample]:
+    """An action about that of a mode, itself sampled by its weight, and the mode; `action_std` in units of the view."""
+    mode_key, noise_key = jax.random.split(key)
+    tokens = policy.tokens(observation)
+    modes = policy.modes(tokens)
+    mode = jax.random.categorical(mode_key, modes.log_weight)
+    std = action_std * tokens.unit
+    action = modes.action[mode] + std * jax.random.normal(noise_key, std.shape)
+    # The density is that of the sampled action, before the agent clips it.
+    return mode, Sample(tokens, action, log_density(modes, action, std))
+
+
 def play(
     problem: Problem,
     policy: PointerPolicy,
@@ -65,32 +87,25 @@ def play(
 ) -> tuple[Trajectory, State]:
     """Play the steps of an episode, or of a part of it, from a state; return them and the state after the last.
 
-    Each action is sampled about that of a mode, itself sampled by its weight; `action_std` is in units of the view.
+    Actions are `sampled`.
     """
     assert episode.truth is not None, "training episodes are noisy"
     following, here = episode.inputs[-1], problem.of_map(episode.map_number)
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
 
     def decide(observation, memory, key):
-        mode_key, noise_key = jax.random.split(key)
-        tokens = policy.tokens(observation)
-        modes = policy.modes(tokens)
-        mean = modes.action[jax.random.categorical(mode_key, modes.log_weight)]
-        std = action_std * tokens.unit
-        action = mean + std * jax.random.normal(noise_key, mean.shape)
-        # The density is that of the sampled action, before the agent clips it.
-        return command(observation, action), memory, (tokens, action, log_density(modes, action, std))
+        _, sample = sampled(policy, observation, action_std, key)
+        return command(observation, sample.action), memory, sample
 
     def record(done: Outcome):
         log_det = jnp.mean(log_det_spd(done.state.information), axis=0)
         return done.notes, log_det, done.measured, expected(here, done.state).get("expected_gospa"), done.state
 
-    notes, log_det, visible, gospa, states = simulate(problem, decide, episode, protocol, key, record, state=state)
-    tokens, action, density = notes
+    sample, log_det, visible, gospa, states = simulate(problem, decide, episode, protocol, key, record, state=state)
     last: State = jax.tree.map(lambda x: x[-1], states)
     predicted = predict(problem, last, following)
     after = policy.tokens(observe(predicted, following, episode.horizon, Robot.of(here)))
-    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), tokens, after)
+    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.information), axis=0), state.present)
     if gospa is None:
         reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
@@ -99,7 +114,7 @@ def play(
     step = state.step + jnp.arange(len(reward))
     counts = step < ends
     reward = jnp.where(counts, reward, 0.0)
-    return Trajectory(tokens, action, density, reward, counts, step == ends - 1), last
+    return Trajectory(tokens, sample.action, sample.log_density, reward, counts, step == ends - 1), last
 
 
 def rewards(

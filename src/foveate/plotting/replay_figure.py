@@ -17,6 +17,7 @@ from foveate.io.figures import BLACK, DPI, GREY, LEGEND, PALE, TITLE, WIDTH, cle
 from foveate.plotting.episode_data import EpisodeData
 from foveate.plotting.scene import AGENT, SEEN, broken
 from foveate.plotting.scene_spatial import scene_class
+from foveate.plotting.walls import WALL, draw, loops
 
 
 def replay_figure(
@@ -82,8 +83,12 @@ def _maps(part: SubFigure, data: EpisodeData, name: str) -> None:
 
 
 def _map(axes: Axes, data: EpisodeData, plane: tuple[int, int]) -> None:
-    """Draw tracks, their seen parts, and the agent's path, in the plane of two axes of the world."""
+    """Draw tracks, their seen parts, the agent's path and obstacles, in the plane of two axes of the world."""
     truth, arc = data.truth[..., plane], data.arc()
+    if data.walls is not None and len(data.walls.low) == 2:
+        draw(axes, data.walls)
+    elif data.walls is not None:
+        axes.add_collection(LineCollection([loop[:, plane] for loop in loops(data.walls)], colors=WALL, lw=0.5))
     axes.plot(*broken(truth, data.present).T, color=GREY, lw=0.6, alpha=0.8)
     ends = np.stack([truth[:-1], truth[1:]], axis=2)
     axes.add_collection(LineCollection(list(ends[data.visible & data.counted]), colors=SEEN, lw=2.2, zorder=3))

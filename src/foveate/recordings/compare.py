@@ -20,10 +20,11 @@ from foveate.names import GATE, Part
 from foveate.recordings import replay as replays
 from foveate.recordings.choice import Candidate, best_of
 from foveate.recordings.formats import AnyPath, load_window
+from foveate.recordings.maps import under, warnings_of
 from foveate.recordings.measures import PreparedReplay, ReplayRow
 from foveate.recordings.methods import method_in, replay_methods
 from foveate.recordings.motion import default_max_gap_s
-from foveate.recordings.outliers import clean, lines_of
+from foveate.recordings.outliers import prepared
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording, moved
 from foveate.recordings.replay import prepare_replay
@@ -40,6 +41,7 @@ class ReplaySettings:
     """Settings of a replay beside the experiment and the recording; times in [s], poses in [m, rad].
 
     With a `split`, `part` was replayed. `candidates` were compared on the part to choose on; `run` is the best of them.
+    `map`: the file of the robot's map, if one was given.
     """
 
     run: str
@@ -53,6 +55,7 @@ class ReplaySettings:
     split: Shares | None = None
     part: Part | None = None
     candidates: tuple[Candidate, ...] = ()
+    map: str | None = None
 
     def __post_init__(self) -> None:
         seed_number(self.seed, "seed")
@@ -107,13 +110,12 @@ def replay(
     gate: float | None = GATE,
     detection_probability: float | None = None,
     clutter: float | None = None,
+    map: str | Path | None = None,
     seed: int = 0,
     scenario: Scenario | None = None,
     progress: bool = True,
 ) -> ReplayResult:
-    """Drive a policy, and heuristics beside it, through a recording of real targets, all with the same noise.
-
-    Lines that begin with "warning:", and what the reader of the recording took for granted, go to standard error.
+    """Drive a policy, and heuristics beside it, through a recording of real targets; warnings go to standard error.
 
     Args:
         policy: as for `foveate.evaluate`.
@@ -127,17 +129,18 @@ def replay(
         agent_start: pose to start from [m, rad], on the recording's map if that is in metres; by default its middle.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
-        max_speed: fastest that a target can move [m/s]: at a faster step its track is cut, or a wrong fix left out; by
-            default steps far above those of the track; infinity keeps all.
+        max_speed: fastest that a target can move [m/s], by default far above its usual steps; infinity keeps all.
         gate: probability of the filter's chi-square gate; None accepts every measurement.
         detection_probability: of a target in the view; with it or `clutter` detections have no ids.
         clutter: expected number of false alarms a step, uniform in the view.
+        map: YAML file of the robot's map (ROS's map_server), in the recording's frame: walls stop the robot and hide
+            targets. By default the scenario's own obstacles, unless they are random.
         seed: of the noise and of random starts.
         scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
     subjects = [subject_of(each, scenario) for each in (policy, *candidates)]
-    numbers = gate, detection_probability, clutter, seed
+    numbers = gate, detection_probability, clutter, map, seed
     given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, *numbers, not progress)
     return _judged(subjects, load_window(recording, start, end), method, given)
 
@@ -156,6 +159,7 @@ class _Given(NamedTuple):
     gate: float | None
     detection_probability: float | None
     clutter: float | None
+    map: str | Path | None
     seed: int
     quiet: bool
 
@@ -182,9 +186,11 @@ def _judged(
 
 
 def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], given: _Given) -> ReplayResult:
-    scenario, shares = subject.experiment.scenario, None if given.split is None else parsed_split(given.split)
-    mine = moved(recording, scenario.origin)
+    shares = None if given.split is None else parsed_split(given.split)
+    mine = moved(recording, subject.experiment.scenario.origin)
     used = prepared(mine if shares is None else part_of(mine, shares, given.part), given.max_speed)
+    scenario, warnings = under(used, subject.experiment.scenario, given.map)
+    subject = replace(subject, experiment=replace(subject.experiment, scenario=scenario))
     settings = ReplaySettings(
         run=subject.name,
         recording=used.short_name if shares is None else f"{used.short_name}, {span_of(used)}",
@@ -196,16 +202,11 @@ def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], gi
         starts=agent_starts(used, scenario, given.agent_start, given.starts, given.seed),
         split=shares,
         part=None if shares is None else given.part,
+        map=None if given.map is None else str(given.map),
     )
     numbers = given.detection_probability, given.clutter
     acting = detecting(scenario, used, settings.max_gap_s, given.gate, *numbers)
-    return _run(subject, acting, methods, used, settings, given.quiet)
-
-
-def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
-    """The recording without jumps and wrong fixes, which its notes name."""
-    cleaned = clean(recording, max_speed_m_s)
-    return replace(cleaned.recording, notes=(*recording.notes, *lines_of(cleaned.findings)))
+    return _run(subject, acting, methods, used, settings, warnings, given.quiet)
 
 
 def _run(
@@ -214,6 +215,7 @@ def _run(
     methods: Sequence[str],
     part: Recording,
     settings: ReplaySettings,
+    doubts: Sequence[str],
     quiet: bool,
 ) -> ReplayResult:
     """Replay in a scenario: that of the subject's training, or the same with detections without ids."""
@@ -224,8 +226,9 @@ def _run(
         for start in settings.starts:
             ready = prepare_replay(scenario, part, start, settings.max_gap_s, settings.seed, settings.gate)
             if not rows:  # the recording is the same from every start
-                doubts = warnings_for(trained.experiment.scenario, part, ready.slots, settings.max_gap_s)
-                warnings = [*other_period(subject), *doubts, *outside(scenario, ready.slots)]
+                found = warnings_for(trained.experiment.scenario, part, ready.slots, settings.max_gap_s)
+                found += [*warnings_of(ready.inside, ready.slots), *outside(scenario, ready.slots)]
+                warnings = [*doubts, *other_period(subject), *found]
                 for line in (*part.notes, *(f"warning: {line}" for line in warnings)):
                     bar.say(line)
                 steps = len(ready.slots.times_s) - 1

@@ -13,11 +13,14 @@ from foveate.io.validate import require
 from foveate.names import Goal
 from foveate.policies.pointer import PointerSettings
 from foveate.recordings.formats import AnyPath, load_window
+from foveate.recordings.maps import inside, map_of
 from foveate.recordings.motion import MotionStatistics, fit_statistics
+from foveate.recordings.outliers import clean
 from foveate.recordings.recording import Recording
 from foveate.recordings.split import parsed_split, part_of
 from foveate.scenario.agent import DifferentialDrive, Quadrotor
 from foveate.scenario.field_of_view import FrustumView, SectorView
+from foveate.scenario.obstacles import OccupancyObstacles
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -44,7 +47,7 @@ class Fitted:
         save_toml(self.experiment, path, header, sealed=False)
 
     def __repr__(self) -> str:
-        return "\n".join([*self.recording.notes, *self.statistics.lines(), self._episode()])
+        return "\n".join([*self.recording.notes, *self.statistics.lines(), self._episode(), *self._in_obstacles()])
 
     def _episode(self) -> str:
         """Length of an episode beside the time that crossing the scene takes."""
@@ -52,6 +55,14 @@ class Fitted:
         steps = scenario.scenes.horizon(1)
         hint = f"; tau = {crossing_s / steps:.2g} would cover it" if crossing_s > (steps + 1) * scenario.tau_s else ""
         return f"episode of {steps} steps, {steps * scenario.tau_s:.3g} s; a target crosses in {crossing_s:.3g} s{hint}"
+
+    def _in_obstacles(self) -> list[str]:
+        """The number of fixes in the walls of the map, if there is one."""
+        settings, obstacles = self.experiment.scenario.obstacles, self.experiment.scenario.problem().obstacles
+        if not isinstance(settings, OccupancyObstacles) or obstacles is None:
+            return []
+        fixes = np.concatenate([track.positions_m for track in self.recording.tracks])
+        return [f"map {settings.file}: {inside(obstacles, fixes).sum()} of {len(fixes)} fixes are in its walls"]
 
 
 def fit(
@@ -69,6 +80,7 @@ def fit(
     tau: float = 0.5,
     sensor_std_m: float = 0.3,
     goal: Goal = "seen",
+    map: str | Path | None = None,
 ) -> Fitted:
     """Derive an experiment from a recording of real targets: train its `experiment`, or `save` it.
 
@@ -78,13 +90,14 @@ def fit(
     train on. The others are of the robot that will move
     there: largest speed [m/s] and turn rate [rad/s], depth [m] and angle [deg] of its view, time between decisions [s],
     standard deviation of a measured position [m]. `goal`: keep targets in view for as long as possible ("seen"), or
-    estimate all of them well ("information": the policy then looks around instead of staying with a few).
+    estimate all of them well ("information": the policy then looks around instead of staying with a few). `map`: the
+    YAML file of the robot's map (ROS's map_server), in the recording's frame, whose walls become the obstacles.
     """
     require(tau > 0, "tau", tau, "expected > 0")
-    part = load_window(recording, start, end)
-    if split is not None:
-        part = part_of(part, parsed_split(split), "train")
+    whole = load_window(recording, start, end)
+    part = whole if split is None else part_of(whole, parsed_split(split), "train")
     statistics = fit_statistics(part, tau, max_gap, max_speed)
+    walls = None if map is None else map_of(clean(part, max_speed).recording, map)
     agent, view = _robot(part.dimension, v_max, w_max, view_depth, view_angle_deg)
     experiment = Experiment(
         scenario=Scenario(
@@ -96,6 +109,7 @@ def fit(
             region=_region(statistics),
             scenes=_scenes(statistics),
             origin=part.origin,
+            obstacles=walls,
         ),
         policy=PointerSettings(),
         training=ActorCriticSettings(objective="seen" if goal == "seen" else "mean"),

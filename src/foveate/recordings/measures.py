@@ -1,6 +1,6 @@
 """Measures of a replay: what a method saw of the recorded targets, and how well it knew them."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -9,15 +9,17 @@ from jaxtyping import Bool, Float
 from foveate.evaluation import metrics
 from foveate.evaluation.gospa import mean_gospa, pairs
 from foveate.evaluation.metrics import mean_or_none, mean_or_zero
-from foveate.evaluation.rows import Recorded
 from foveate.models.detections.records import DetectionModel
 from foveate.models.problem import Problem
 from foveate.recordings.recording import Slots
 from foveate.simulation.records import Episode, Protocol, Trace
 
+OF_DETECTIONS = ("gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped")
+"""Fields of rows of detections without ids alone."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class ReplayRow(Recorded):
+class ReplayRow:
     """Measures of one method on one recording from one start.
 
     `targets` counts tracks present for at least a step. `log_det_mean` [nat], `rmse_m` and `nees` are means over all
@@ -31,6 +33,9 @@ class ReplayRow(Recorded):
     parts are means too; `log_det_mean`, `rmse_m`, `nees` and its band are those of the confirmed tracks that GOSPA
     pairs with a target, over all steps, null where no track was ever paired; an error is then the distance to the
     nearest confirmed track for `lost`. `dropped` counts detections and tracks for which there was no room.
+
+    `contacts` counts the agent's steps that an obstacle has ended, and `in_obstacles` the instants of targets that are
+    inside of one, by the map; null without obstacles.
     """
 
     method: str
@@ -56,17 +61,28 @@ class ReplayRow(Recorded):
     gospa_missed: float | None = None
     gospa_false: float | None = None
     dropped: int | None = None
+    contacts: int | None = None
+    in_obstacles: int | None = None
+
+    def record(self) -> dict[str, Any]:
+        """All fields as plain values; those of detections without ids only there."""
+        left_out = OF_DETECTIONS if self.gospa is None else ()
+        return {name: value for name, value in asdict(self).items() if name not in left_out}
 
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedReplay:
-    """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y)."""
+    """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y).
+
+    `inside`: instants at which a target is inside of an obstacle; None without obstacles.
+    """
 
     protocol: Protocol
     problem: Problem
     slots: Slots
     episode: Episode
     truth: np.ndarray
+    inside: np.ndarray | None
     depth_m: float
     agent_start: tuple[float, ...]
     seed: int
@@ -104,6 +120,8 @@ def measured(ready: PreparedReplay, method: str, trace: Trace, step_time_s: floa
         lost=lost,
         rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
         step_time_s=step_time_s,
+        contacts=None if trace.contacts is None else int(trace.contacts[-1]),
+        in_obstacles=None if ready.inside is None else int(ready.inside.sum()),
         **errors,
     )
 

@@ -18,6 +18,7 @@ from foveate.models.gate import gate_limit
 from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.names import GATE
+from foveate.recordings.maps import in_obstacles, require_dimension
 from foveate.recordings.measures import PreparedReplay, ReplayRow, measured
 from foveate.recordings.recording import Recording, Slots, resample
 from foveate.recordings.scans import with_scans
@@ -78,6 +79,7 @@ def prepare_replay(
         slots=slots,
         episode=episode,
         truth=truth,
+        inside=in_obstacles(problem.obstacles, slots),
         depth_m=float(scenario.view.depth_m),
         agent_start=tuple(map(float, agent_start)),
         seed=seed,
@@ -89,11 +91,7 @@ def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
         raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
-    if recording.dimension != scenario.dimension:
-        raise InputError(
-            f"{recording.name}: positions have {recording.dimension} numbers: the run's scenario has "
-            f"{scenario.dimension}"
-        )
+    require_dimension(recording, scenario)
     # Far from the origin, as in map coordinates, float32 rounds positions to centimetres: noise the filter ignores.
     far_m = float(np.abs(np.stack(recording.extent)).max())
     rounding_m = np.spacing(np.float32(far_m))

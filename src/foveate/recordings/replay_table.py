@@ -27,6 +27,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "lost": ("lost", ".1f"),
     "rejected": ("rejected", ".1f"),
     "dropped": ("dropped", ".1f"),
+    "contacts": ("contacts", ".1f"),
+    "in obstacles": ("in_obstacles", ".1f"),
 }
 """Heading of each mean in the table: the field of `ReplayRow`, and its format."""
 DETAILS = ("NEES of detected", "NEES of undetected", "rejected")
@@ -44,16 +46,24 @@ NOTE_WITHOUT_IDS = (
     "least once. lost: targets not in view at their end, with no confirmed track within the depth of the view. log det "
     "of the information, RMSE and NEES: of tracks that are paired with a target."
 )
+OF_OBSTACLES = ("contacts", "in obstacles")
+NOTE_OF_OBSTACLES = (
+    " contacts: steps that an obstacle has ended. in obstacles: instants at which a recorded target is inside of one "
+    "by the map."
+)
 
 
 def replay_table(recording: str, rows: Sequence[ReplayRow]) -> Table:
     """Means of each method over the starts, of the rows of a recording of this name."""
-    by_method, has_ids = group_by(rows, lambda row: row.method), rows[0].gospa is None
-    shown = [name for name in COLUMNS if (name not in WITHOUT_IDS if has_ids else name not in DETAILS)]
+    by_method = group_by(rows, lambda row: row.method)
+    has_ids, in_map = rows[0].gospa is None, rows[0].contacts is not None
+    left_out = {*(WITHOUT_IDS if has_ids else DETAILS), *(() if in_map else OF_OBSTACLES)}
+    shown = [name for name in COLUMNS if name not in left_out]
     lines = [(method, *(_text(ours, name) for name in shown)) for method, ours in by_method.items()]
     starts = counted(max(map(len, by_method.values())), "start")
     title = f"{recording}: {counted(rows[0].targets, 'track')}, mean of {starts}"
     note, details = (NOTE, DETAILS) if has_ids else (NOTE_WITHOUT_IDS, DETAILS_WITHOUT_IDS)
+    note += NOTE_OF_OBSTACLES * in_map
     return Table(title=title, note=note, header=("method", *shown), rows=tuple(lines), details=details)
 
 

@@ -42,8 +42,8 @@ def detecting(
     """
     own, numbers = scenario.detections, {"probability": probability, "clutter": clutter}
     given: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
-    if recording.dimension != scenario.dimension or (own is None and not given):
-        return scenario  # a wrong dimension is named by `prepare_replay`
+    if own is None and not given:
+        return scenario
     require(gate is not None, "gate", gate, "expected a probability, with detections without ids")
     given |= {} if gate == GATE else {"gate": gate}
     slots = resample(recording, float(scenario.tau_s), max_gap_s)

@@ -28,6 +28,7 @@ def track(x: float, std: float = 1.0) -> Tracks:
     return Tracks(jnp.ones(1), jnp.array([[x, 0.0]]), std**2 * jnp.eye(2)[None], jnp.zeros(1, int))
 
 
+FIRST_OF_16 = jnp.arange(16) < 1
 FIRST = Look(POSE, jnp.zeros(1, bool), jnp.zeros(1))
 
 
@@ -63,6 +64,41 @@ def test_a_second_look_at_the_same_ground_takes_off_only_what_is_left_there(x):
     naive = look(moved, FIRST, probability=0.8)
     assert float(naive.detection[0]) > float(twice.detection[0]) + 0.03
     np.testing.assert_array_equal(twice.covariance, moved.covariance)
+
+
+@pytest.mark.parametrize("looks", [1, 2, 3])
+def test_what_was_looked_for_in_vain_claims_few_detections_in_view(looks):
+    """A detection at (3.5, 0), where a target of the track at (4.5, 0) is, by Bayes, rarer with every look in vain.
+
+    In the filter: the existence after it is r w / (r w + clutter), where w is the density of the track's detection.
+    """
+    range_m = np.linspace(-9, 9, 601)
+    x, y = np.meshgrid(range_m + 4.5, range_m, indexing="ij")
+    density = np.exp(-0.5 * ((x - 4.5) ** 2 + y**2))
+    chance = np.where(np.hypot(x, y) <= 5.0, 0.8, 0.0)
+    model = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0), probability=0.8, clutter=4.0, tracks=1)
+    model = model.model(PROBLEM)
+    step = jax.jit(lambda population, scan: pmb.update(PROBLEM, model, population, POSE, scan))
+    none, one = (
+        Scan(jnp.zeros((16, 2)), jnp.zeros(16, bool)),
+        Scan(jnp.full((16, 2), jnp.array([3.5, 0.0])), FIRST_OF_16),
+    )
+    existence = 0.9
+    population = pmb.start(PROBLEM, model, POSE, replace(track(4.5), existence=jnp.array([existence])))
+    for _ in range(looks):
+        missed = (density * (1.0 - chance)).sum() / density.sum()
+        density, existence = density * (1.0 - chance), existence * missed / (1.0 - existence + existence * missed)
+        population = step(population, none)
+    V = float(PROBLEM.sensor.V[0, 0])
+    likelihood = np.exp(-0.5 * ((x - 3.5) ** 2 + y**2) / V) / (2 * np.pi * V)
+    claim = existence * (density * chance * likelihood).sum() / density.sum()
+    overlooked = existence * (density * (1.0 - chance)).sum() / density.sum()
+    clutter = 4.0 / float(model.view_volume)
+    # Of the two ways, that the track made the detection, or a false alarm did and the track is missed or not there.
+    ways = np.array([claim, clutter * overlooked, clutter * (1.0 - existence)])
+    found = step(population, one).tracks
+    assert float(population.tracks.existence[0]) == pytest.approx(existence, abs=0.03)
+    assert float(found.existence[0]) == pytest.approx(1.0 - ways[2] / ways.sum(), abs=0.06)
 
 
 def test_a_belief_all_in_view_keeps_its_shape():

@@ -23,6 +23,7 @@ def run(options: Fit) -> int:
         tau=options.tau,
         sensor_std_m=options.sensor_std_m,
         goal=options.goal,
+        map=options.map,
     )
     print(fitted)
     fitted.save(options.out)

@@ -32,6 +32,7 @@ def run(options: Replay) -> int:
         detection_probability=options.detection_probability,
         clutter=options.clutter,
         seed=options.seed,
+        map=options.map,
     )
     print_tables(result.table, wide=options.wide)
     if options.json is not None:

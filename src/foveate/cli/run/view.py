@@ -8,8 +8,8 @@ from foveate.experiment.resolve import subject_of
 from foveate.plotting.live.player import EpisodeSource
 from foveate.plotting.live.server import record, serve
 from foveate.plotting.live.sources import methods_from, recorded, simulated
-from foveate.recordings.compare import prepared
 from foveate.recordings.formats import load_recording, load_window
+from foveate.recordings.outliers import prepared
 
 
 def run(options: View) -> int:
@@ -34,7 +34,7 @@ def _source(options: View) -> EpisodeSource:
         return simulated(subject, options.scenes, options.scene, methods, *noise)
     whole = load_recording(options.recording, **options.reading())
     recording = prepared(load_window(whole, options.start, options.end), options.max_speed)
-    source, warnings = recorded(subject, recording, methods, options.max_gap, options.seed)
+    source, warnings = recorded(subject, recording, methods, options.max_gap, options.seed, options.map)
     for line in recording.notes:
         print(line, file=sys.stderr)
     for line in warnings:

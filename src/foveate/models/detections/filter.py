@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models.detections.association import Association, associate
-from foveate.models.detections.missed import Missed, look_in_vain
+from foveate.models.detections.missed import Missed, detected_factors, look_in_vain
 from foveate.models.detections.records import NO_IDENTITY, DetectionModel, Look, Population, Scan, Tracks, empty_tracks
 from foveate.models.detections.slots import merged
 from foveate.models.gate import one_point
@@ -78,16 +79,17 @@ def update(problem: Problem, model: DetectionModel, population: Population, pose
     tracks = population.tracks
     missed = look_in_vain(problem, model, tracks, population.look, pose)
     pairs = _pairs(problem, model, tracks, pose)(scan)
-    position_body = _positions_body(problem, pose, scan)
-    chance = model.probability_at(jnp.sqrt(jnp.sum(position_body**2, axis=-1)))
+    points = problem.motion.position(_states(problem, scan))
+    chance = _chance(problem, model, pose, scan)
     new, arrivals = _new_tracks(problem, model, population, pose, scan, chance)
 
     r = tracks.existence
     not_there, overlooked = 1.0 - r, r * jnp.maximum(1.0 - missed.detection, 1e-9)
+    there = detected_factors(problem, population.look, missed, points)
     clutter = model.clutter / model.view_volume
     found = associate(
         not_there + overlooked,
-        jnp.where(scan.valid, r[:, None] * chance * pairs.density, 0.0),
+        jnp.where(scan.valid, r[:, None] * chance * pairs.density * there, 0.0),
         jnp.where(scan.valid, clutter + arrivals, 0.0),
     )
     still_there = found.missed * overlooked / (not_there + overlooked)
@@ -157,7 +159,7 @@ def _new_tracks(
 ) -> tuple[Tracks, Float[Array, " m"]]:
     """A track of every detection, by one-point initiation, and the density of detections of undetected targets."""
     H, Z = problem.sensor.H, problem.motion.Z
-    V = _noise(problem, pose, jnp.matmul(scan.measurement, jnp.linalg.pinv(H).T, precision="highest"))
+    V = _noise(problem, pose, _states(problem, scan))
     begun = jax.vmap(one_point, (None, 0, None, 0))(problem.prior_information, scan.measurement, H, V)
     covariance = inverse_spd(begun.information)
     variance = jnp.diagonal(multiply(multiply(Z, covariance), Z.T), axis1=-2, axis2=-1)
@@ -166,9 +168,22 @@ def _new_tracks(
     return Tracks(jnp.zeros_like(chance), begun.mean, covariance, unnamed), chance * density
 
 
-def _positions_body(problem: Problem, pose: Pose, scan: Scan) -> Float[Array, "m d"]:
-    states = jnp.matmul(scan.measurement, jnp.linalg.pinv(problem.sensor.H).T, precision="highest")
-    return problem.agent.space.to_body(pose, problem.motion.position(states))
+def _chance(problem: Problem, model: DetectionModel, pose: Pose, scan: Scan) -> Float[Array, " m"]:
+    """Probability of detection of a target at each detection's place: p_D, times the probability that this is in view.
+
+    A detector whose view is wider than the model's also has false alarms beyond it. A track there is never looked at
+    in vain, so that without the second factor a few of them would make a target that stays.
+    """
+    states = _states(problem, scan)
+    body = problem.agent.space.to_body(pose, problem.motion.position(states))
+    variance = jnp.mean(jnp.diagonal(_noise(problem, pose, states), axis1=-2, axis2=-1), axis=-1)
+    in_view = ndtr(-problem.sensor.view.signed_distance(body) / jnp.sqrt(variance))
+    return model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1))) * in_view
+
+
+def _states(problem: Problem, scan: Scan) -> Float[Array, "m n_y"]:
+    """The least states that would be measured as the detections are."""
+    return jnp.matmul(scan.measurement, jnp.linalg.pinv(problem.sensor.H).T, precision="highest")
 
 
 def _noise(problem: Problem, pose: Pose, states: Float[Array, "n n_y"]) -> Float[Array, "n n_z n_z"]:

@@ -26,13 +26,15 @@ LEAST_SHARE = 1e-3
 class Missed(NamedTuple):
     """For every track: probability of detection, and mean and covariance given that it was missed.
 
-    `excess` is that of the next `Look`.
+    `excess` is that of the next `Look`. `factor` corrects the belief's Gaussian before this look, by that of the
+    previous one: in what it showed, and beyond.
     """
 
     detection: Float[Array, " n"]
     mean: Float[Array, "n n_y"]
     covariance: Float[Array, "n n_y n_y"]
     excess: Float[Array, " n"]
+    factor: tuple[Float[Array, " n"], Float[Array, " n"]]
 
 
 class _Position(NamedTuple):
@@ -57,7 +59,8 @@ def look_in_vain(problem: Problem, model: DetectionModel, tracks: Tracks, look: 
     known = look.missed[:, None] & _sees(problem, look.pose, points)
     body = problem.agent.space.to_body(pose, points)
     chance = jnp.where(shown, model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1))), 0.0)
-    mass = weights * _correction(weights, known, look.excess)
+    within, beyond = _factors(weights, known, look.excess)
+    mass = weights * jnp.where(known, within[:, None], beyond[:, None])
     detection = jnp.clip(jnp.sum(mass * chance, axis=1), 0.0, 1.0)
     left = jnp.sum(jnp.where(shown, mass * (1.0 - chance), 0.0), axis=1) / jnp.maximum(1.0 - detection, LEAST_SHARE)
 
@@ -77,7 +80,7 @@ def look_in_vain(problem: Problem, model: DetectionModel, tracks: Tracks, look: 
     after = _position(mean, covariance, Z, standard)
     put_back = _sees(problem, pose, after.middle[:, None] + after.offset)
     excess = jnp.sum(jnp.where(put_back, weights, 0.0), axis=1) - jnp.clip(left, 0.0, 1.0)
-    return Missed(detection, mean, covariance, excess)
+    return Missed(detection, mean, covariance, excess, (within, beyond))
 
 
 def _sees(problem: Problem, pose: Pose, points: Float[Array, "n p d"]) -> Bool[Array, "n p"]:
@@ -99,13 +102,23 @@ def _position(
     return _Position(middle, of_position, offset, multiply(cross, inverse_spd(padded)))
 
 
-def _correction(
+def _factors(
     weights: Float[Array, " p"], known: Bool[Array, "n p"], excess: Float[Array, " n"]
-) -> Float[Array, "n p"]:
-    """Factors on the points' weights that take the excess off the previous look's ground, and add it beyond."""
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Factors that take the excess off the previous look's ground, and add it beyond."""
     there = jnp.sum(jnp.where(known, weights, 0.0), axis=1)
     share = jnp.clip(there - excess, 0.0, 1.0)
     splits = (there > LEAST_SHARE) & (there < 1.0 - LEAST_SHARE)
     within = jnp.where(splits, share / jnp.where(splits, there, 0.5), 1.0)
     beyond = jnp.where(splits, (1.0 - share) / jnp.where(splits, 1.0 - there, 0.5), 1.0)
+    return within, beyond
+
+
+def detected_factors(problem: Problem, look: Look, missed: Missed, point: Float[Array, "m d"]) -> Float[Array, "n m"]:
+    """For every track and detection, the factor on the track's Gaussian where the detection is [m, in the world].
+
+    Without it a track that was looked for in vain, and so is likely beyond the view, would claim false alarms in it.
+    """
+    known = look.missed[:, None] & problem.sees(look.pose, point)
+    within, beyond = missed.factor
     return jnp.where(known, within[:, None], beyond[:, None])

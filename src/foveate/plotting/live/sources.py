@@ -1,6 +1,7 @@
 """Sources of the live view: methods in the scenes of an evaluation, or in a recording."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from foveate.names import METHODS
 from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.plotting.live.player import EpisodeSource
 from foveate.plotting.replay import replay_data
+from foveate.recordings.maps import under, warnings_of
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording, moved
@@ -54,11 +56,18 @@ def simulated(
 
 
 def recorded(
-    subject: Subject, recording: Recording, methods: Sequence[str], max_gap: float | None, seed: int
+    subject: Subject,
+    recording: Recording,
+    methods: Sequence[str],
+    max_gap: float | None,
+    seed: int,
+    map: Path | None = None,
 ) -> tuple[EpisodeSource, list[str]]:
-    """Episodes of a recording, begun in its middle, and warnings about it."""
-    scenario, scenes = subject.experiment.scenario, (Path(recording.name).name,)
-    recording = moved(recording, scenario.origin)
+    """Episodes of a recording, begun in its middle, in a robot's map if there is one, and warnings about it."""
+    scenes = (Path(recording.name).name,)
+    recording = moved(recording, subject.experiment.scenario.origin)
+    scenario, doubts = under(recording, subject.experiment.scenario, map)
+    subject = replace(subject, experiment=replace(subject.experiment, scenario=scenario))
     gap_s = default_max_gap_s(recording) if max_gap is None else max_gap
     box_world = jnp.asarray(np.stack(recording.extent), float)
     ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario), gap_s, seed)
@@ -67,5 +76,6 @@ def recorded(
         _, trace = drive(ready, method, subject.policy(method, box_world))
         return replay_data(ready, trace, f"{subject.name if method == 'policy' else method} on {scene}")
 
-    warnings = warnings_for(scenario, recording, ready.slots, gap_s)
+    found = warnings_for(scenario, recording, ready.slots, gap_s)
+    warnings = [*doubts, *found, *warnings_of(ready.inside, ready.slots)]
     return EpisodeSource(scenes=scenes, methods=tuple(methods), episode=episode), warnings
