@@ -84,7 +84,7 @@ def summary_table(title: str, summary: Sequence[Summary], objective: Objective |
     shown = {
         "protocol": len({cell.protocol for cell in summary}) > 1,
         "motion": len({cell.motion for cell in summary}) > 1,
-        "objective": objective not in (None, "terminal", "gospa"),
+        "objective": objective not in (None, "terminal", "gospa") and not has_gospa,
         "normalised": any(cell.normalised_score is not None for cell in summary),
         "contacts": any(cell.contacts is not None for cell in summary),
         **dict.fromkeys(("GOSPA [m]", "errors", "missed", "false"), has_gospa),

@@ -15,7 +15,7 @@ from foveate.geometry.distance_grid import Nodes
 from foveate.geometry.numpy_poses import arc
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
-from foveate.plotting.track_data import TrackData, intensities, tracks_of
+from foveate.plotting.track_data import TrackData, intensities, track_data
 from foveate.plotting.walls import walls_of
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
 
@@ -183,8 +183,15 @@ def episode_data(
     """
     tracks = None
     if alive is not None:
-        targets = truth_state.shape[1]
-        tracks = tracks_of(problem, trace, truth_state, alive, horizon, undetected)
+        targets, until = truth_state.shape[1], slice(horizon + 1)
+        tracks = track_data(
+            problem,
+            existence=np.asarray(trace.existence, float)[until],
+            mean=np.asarray(trace.mean, float)[until],
+            truth=np.asarray(truth_state, float)[until],
+            alive=alive[until],
+            undetected=None if undetected is None else undetected[until],
+        )
     steps, instants = (slice(horizon), slice(targets)), (slice(horizon + 1), slice(targets))
     beliefs = targets if tracks is None else tracks.existence.shape[1]
     data = state_data(

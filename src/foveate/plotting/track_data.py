@@ -42,28 +42,27 @@ class TrackData:
         return number if self.undetected is None else number + self.undetected.reshape(len(number), -1).sum(axis=1)
 
 
-def tracks_of(
+def track_data(
     problem: Problem,
-    trace: Trace,
-    truth_state: Float[np.ndarray, "instants targets n_y"],
+    *,
+    existence: Float[np.ndarray, "instants b"],
+    mean: Float[np.ndarray, "instants b n_y"],
+    truth: Float[np.ndarray, "instants targets n_y"],
     alive: Bool[np.ndarray, "instants targets"],
-    horizon: int,
-    undetected: Float[np.ndarray, "instants *cells"] | None,
+    undetected: Float[np.ndarray, "instants *cells"] | None = None,
 ) -> TrackData:
-    """The tracks of the first `horizon` steps of ONE trace."""
+    """Tracks with these means beside the true states of the targets that are `alive`."""
     model, Z = problem.detections, np.asarray(problem.motion.Z, float)
     assert model is not None, "for problems with detections"
-    assert trace.existence is not None, "traces of such problems have it"
-    existence, steps = np.asarray(trace.existence, float)[: horizon + 1], slice(1, horizon + 1)
-    mean, truth = (np.asarray(x, float)[steps] @ Z.T for x in (trace.mean, truth_state))
-    found = mean_gospa(mean, existence[1:] > model.confirm, truth, alive[steps], float(np.asarray(model.cutoff)))
+    estimates, targets = mean[1:] @ Z.T, truth[1:] @ Z.T
+    found = mean_gospa(estimates, existence[1:] > model.confirm, targets, alive[1:], float(np.asarray(model.cutoff)))
     return TrackData(
         existence=existence,
         tell=model.tell,
         confirm=model.confirm,
         gospa_m=found.gospa,
         box=np.array([model.grid.low, model.grid.high], float),
-        undetected=None if undetected is None else undetected[: horizon + 1],
+        undetected=undetected,
     )
 
 
