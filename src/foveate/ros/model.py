@@ -1,7 +1,7 @@
 """The policy that a node runs, and the robot that it was trained for: from an ONNX file, a run folder or a preset."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +13,12 @@ from foveate.deploy.onnx.session import Session, open_file
 from foveate.deploy.policy import TrainedPolicy
 from foveate.errors import InputError
 from foveate.io.validate import require
+from foveate.models.obstacles import Obstacles
 from foveate.ros.records import AXES
 from foveate.scenario.scenario import Scenario
 
 Pose = Float[np.ndarray, "..."]
+Decide = Callable[[Belief, Pose], Float[np.ndarray, " m"]]
 INPUTS = ("pose", "mean", "information", "present", "known_input", "steps_left", "step")
 """Inputs of a file that a node can give."""
 MOST_TARGETS = 64
@@ -25,12 +27,16 @@ MOST_TARGETS = 64
 
 @dataclass(frozen=True, kw_only=True)
 class RobotModel:
-    """A policy by its name: `decide` maps a predicted belief and a pose to the command of `axes` [m/s, rad/s]."""
+    """A policy by its name: `decide` maps a predicted belief and a pose to the command of `axes` [m/s, rad/s].
+
+    `in_map` makes the `decide` of another map; None where the policy knows of none.
+    """
 
     name: str
     scenario: Scenario
     axes: tuple[str, ...]
-    decide: Callable[[Belief, Pose], Float[np.ndarray, " m"]]
+    decide: Decide
+    in_map: Callable[[Obstacles], Decide] | None = None
 
     def __post_init__(self) -> None:
         require(set(self.axes) <= set(AXES), "axes", self.axes, f"expected some of {', '.join(AXES)}")
@@ -56,7 +62,10 @@ def _in_jax(policy: TrainedPolicy) -> RobotModel:
     def decide(belief: Belief, pose: Pose) -> Float[np.ndarray, " m"]:
         return policy(belief.padded(MOST_TARGETS), pose)
 
-    model = RobotModel(name=policy.name, scenario=policy.scenario, axes=policy.axes, decide=decide)
+    def in_map(obstacles: Obstacles) -> Decide:
+        return _in_jax(replace(policy, obstacles=obstacles)).decide
+
+    model = RobotModel(name=policy.name, scenario=policy.scenario, axes=policy.axes, decide=decide, in_map=in_map)
     size, d = policy.problem.motion.state_size, policy.scenario.dimension
     decide(Belief(np.zeros((0, size)), covariance=np.zeros((0, size, size))), np.zeros(3) if d == 2 else np.eye(4))
     policy.reset()
@@ -73,7 +82,7 @@ def _of_file(path: str) -> RobotModel:
     return RobotModel(name=path, scenario=session.scenario, axes=session.axes, decide=_by(session))
 
 
-def _by(session: Session) -> Callable[[Belief, Pose], Float[np.ndarray, " m"]]:
+def _by(session: Session) -> Decide:
     inputs_of_state, left = int(session.wanted.get("known_input", (0,))[-1]), int(session.facts["steps_left"])
 
     def decide(belief: Belief, pose: Pose) -> Float[np.ndarray, " m"]:
