@@ -32,6 +32,7 @@ class OnnxPolicy:
                 raise ValueError("not a foveate-policy of version 1")
             self.wanted = [each.name for each in self.session.get_inputs()]
             self.output, self.model = json.loads(self.facts["output"]), json.loads(self.facts["model"])
+            self.rays = json.loads(self.facts.get("rays", "null"))
         except Exception as error:  # of many classes of onnxruntime, without the file's name
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise ValueError(f"{path}: {reason:.200}: export it with the foveate of this example") from error
@@ -53,11 +54,34 @@ class OnnxPolicy:
             known_input = np.zeros((len(mean), B.shape[1]))
         return mean @ A.T + known_input @ B.T, A @ covariance @ A.T + W, known_input
 
-    def __call__(self, pose, mean, covariance, known_input=None, steps_left=None, step=0):
+    @staticmethod
+    def rotation(pose):
+        """Rotation from body to world of [x, y, yaw], or of a 4 x 4 transform."""
+        if np.ndim(pose) == 2:
+            return pose[:3, :3]
+        return np.array([[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]])
+
+    def around(self, pose, positions, ranges=None):
+        """What a policy with rays is told of obstacles, from measured ranges alone; without them all is free.
+
+        Ways are straight, without a planner of the robot's own, and a target is seen if the ray next to it is free.
+        """
+        offset = positions - (pose[:3, 3] if np.ndim(pose) == 2 else pose[:2])
+        away = np.linalg.norm(offset, axis=1)
+        directions, longest = np.array(self.rays["directions"]), self.rays["longest_m"]
+        ranges = np.full(len(directions), longest) if ranges is None else np.minimum(ranges, longest)
+        nearest = np.argmax(offset @ self.rotation(pose) @ directions.T, axis=1)
+        is_seen = (away <= ranges[nearest]) | (ranges[nearest] >= longest)
+        told = {"ranges": ranges, "way_place": positions, "way_length": away}
+        told = {name: np.asarray(value, np.float32) for name, value in told.items()}
+        return {**told, "is_straight": np.ones(len(away), bool), "is_seen": is_seen}
+
+    def __call__(self, pose, mean, covariance, known_input=None, steps_left=None, step=0, ranges=None):
         """Return the command by axis [m/s, rad/s] at a pose, for CURRENT beliefs, shapes (n, n_y) and (n, n_y, n_y).
 
         The pose is [x, y, yaw], or in space the 4 x 4 transform from body to world. n may be 0. Without `steps_left`,
-        for a task without an end, the policy acts as in the middle of an episode.
+        for a task without an end, the policy acts as in the middle of an episode. `ranges` [m] are those along the rays
+        of a policy that has any.
         """
         mean, covariance, known_input = self.predict(mean, covariance, known_input, step)
         inputs = {
@@ -69,6 +93,8 @@ class OnnxPolicy:
             "steps_left": np.array(steps_left or self.facts["steps_left"], np.int64),
             "step": np.array(step, np.int64),
         }
+        if self.rays:
+            inputs |= self.around(np.asarray(pose, float), mean @ np.array(self.model["Z"]).T, ranges)
         (control,) = self.session.run(["control"], {name: inputs[name][None] for name in self.wanted})
         return dict(zip(self.output["axes"], control[0].tolist(), strict=True))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from foveate.deploy.exported import load_exported
 from foveate.deploy.policy import TrainedPolicy
 from foveate.errors import InputError
 from foveate.evaluation.plan import PlanOptions, evaluate_plans, planning_subject
@@ -43,9 +44,11 @@ Protocols = Literal["surrogate", "true", "both"]
 def load(run: str | Path) -> TrainedPolicy:
     """Load the best policy of a run folder, or the trained policy that the package ships for a preset.
 
-    "any@mine.toml" is the policy for any robot, in the scenario of this file and for its objective.
-    Raises InputError if neither exists, or a file is damaged.
+    "any@mine.toml" is the policy for any robot, in the scenario of this file and for its objective. A file of `foveate
+    export` (.onnx) decides by onnxruntime. Raises InputError if none exists, or a file is damaged.
     """
+    if Path(run).suffix == ".onnx":
+        return load_exported(run)
     experiment, network, facts = load_parts(run)
     verdict = read_verdict(run_folder(run)) if experiment == experiment_of(run_folder(run)) else None
     return TrainedPolicy(name=str(run), experiment=experiment, network=network, facts=facts, verdict=verdict)
@@ -106,8 +109,7 @@ def train(
 def _experiment(source: Scenario | Experiment | str | Path, like: Preset | None) -> Experiment:
     if isinstance(source, Scenario):
         return for_scenario(source, like or "true-view")
-    right = "expected None: only a Scenario has no network and learner of its own"
-    require(like is None, "like", like, right)
+    require(like is None, "like", like, "expected None: only a Scenario has no network and learner of its own")
     return experiment_from(source)
 
 
@@ -179,11 +181,9 @@ def evaluate(
     chosen, known = scenes_of(scenes, scene_seed, subject.experiment)
     name = ", ".join(each.name for each in (subject, *others))
     return evaluate_all(
-        f"{name} on {chosen}",
-        {"run": name, "scenes": chosen},
-        subject.experiment, policies_of(subject, others, methods), known,
+        f"{name} on {chosen}", {"run": name, "scenes": chosen},
+        subject.experiment, policies_of(subject, others, methods), known, quiet=not progress,
         protocols=protocols, episodes=episodes, seed=seed, objective=subject.objective, normalised=normalised,
-        quiet=not progress,
     )  # fmt: skip
 
 
@@ -193,9 +193,9 @@ def _protocols(protocol: str, episodes: int, seed: int, scene_seed: int) -> tupl
     seed_number(seed, "seed")
     seed_number(scene_seed, "scene_seed")
     check_count(episodes, "episodes")
-    if protocol not in (*PROTOCOLS, "both"):
-        raise InputError(f"protocol {protocol!r}: expected surrogate, true or both")
-    return tuple(PROTOCOLS) if protocol == "both" else (protocol,)
+    if protocol in (*PROTOCOLS, "both"):
+        return tuple(PROTOCOLS) if protocol == "both" else (protocol,)
+    raise InputError(f"protocol {protocol!r}: expected surrogate, true or both")
 
 
 def plan(

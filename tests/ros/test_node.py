@@ -110,6 +110,26 @@ def test_parameters_reach_the_core(watched):
     assert (stamped.header.frame_id, stamped.twist.linear.x) == ("base_link", 1.0)
 
 
+def test_a_map_is_waited_for_and_taken(watched):
+    """A wall 0.3 m ahead of a robot of 0.25 m, on the topic of the parameter, as rosbags has the message."""
+    node = Node(policy="any", map_topic="/map", robot_radius_m=0.25, keep_off_m=0.0)
+    driver = Driver(node, find, "qos")
+    node.subscriptions["odom"](MAKE.odometry(odometry(99.9), (0.0,) * 6))
+    driver.step()
+    assert node.lines[-1] == ("warning", "stopped: no map yet")
+    cells = np.zeros((40, 40), np.int8)
+    cells[:, 23:25] = 100
+    header, origin = MAKE.header(99.0, "odom"), MAKE.pose((-2.0, -2.0, 0.0))
+    info = find("nav_msgs/msg/MapMetaData")(
+        map_load_time=header.stamp, resolution=0.1, width=40, height=40, origin=origin
+    )
+    node.subscriptions["/map"](find("nav_msgs/msg/OccupancyGrid")(header=header, info=info, data=cells.ravel()))
+    assert node.sent["cmd_vel"][-1].linear.x == 0.0  # it stands meanwhile
+    driver.step()
+    assert [(each.linear.x, each.angular.z) for each in node.sent["cmd_vel"]][-1] == (0.0, -0.5)
+    assert "map" not in [text.partition(":")[0] for _, text in node.lines]
+
+
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [

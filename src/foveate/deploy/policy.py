@@ -23,6 +23,7 @@ from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.resolve import NamedPolicy, in_scenario, told
 from foveate.experiment.run_folder import BEST
 from foveate.io.validate import require
+from foveate.models.obstacles import Obstacles
 from foveate.models.problem import Problem
 from foveate.names import Objective, ProtocolName
 from foveate.scenario.rows import MAX_LENGTH
@@ -51,6 +52,8 @@ class RobotPolicy(NamedPolicy):
 
     seed: int = 0
     """Seed of random decisions."""
+    obstacles: Obstacles | None = None
+    """Those of the robot's own map, in place of the scenario's."""
 
     @property
     def scenario(self) -> Scenario:
@@ -60,7 +63,8 @@ class RobotPolicy(NamedPolicy):
     @cached_property
     def problem(self) -> Problem:
         """The scenario as arrays."""
-        return self.scenario.problem()
+        problem = self.scenario.problem()
+        return problem if self.obstacles is None else replace(problem, obstacles=self.obstacles)
 
     @property
     def axes(self) -> tuple[str, ...]:

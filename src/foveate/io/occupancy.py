@@ -33,6 +33,11 @@ class OccupancyGrid(NamedTuple):
     low: Float[np.ndarray, "2"]
     cell_m: float
 
+    @property
+    def high(self) -> Float[np.ndarray, "2"]:
+        """The corner where x and y are highest [m]."""
+        return self.low + self.cell_m * np.array(self.occupied.shape)
+
 
 def read_map(path: str | Path) -> OccupancyGrid:
     """Read a map's YAML file and its image.

@@ -33,12 +33,11 @@ def map_of(recording: Recording, file: str | Path, like: BaseObstacles | None = 
         InputError: The map cannot be read, or does not hold all fixes of the recording.
     """
     grid, (lower, upper) = read_map(file), recording.extent
-    high = grid.low + grid.cell_m * np.array(grid.occupied.shape)
-    if (lower[:2] < grid.low).any() or (upper[:2] > high).any():
+    if (lower[:2] < grid.low).any() or (upper[:2] > grid.high).any():
         moved = "" if recording.origin is None else f", in metres from its origin {recording.origin}"
         raise InputError(
-            f"{file}: the map, from {_text(grid.low)} to {_text(high)} m, does not hold {recording.short_name}, from "
-            f"{_text(lower[:2])} to {_text(upper[:2])} m{moved}: expected the map of the recording's place and frame"
+            f"{file}: the map, from {_text(grid.low)} to {_text(grid.high)} m, does not hold {recording.short_name}, "
+            f"from {_text(lower[:2])} to {_text(upper[:2])} m{moved}: expected the map of its place and frame"
         )
     heights = None
     if recording.dimension == 3:

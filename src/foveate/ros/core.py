@@ -17,11 +17,12 @@ from foveate.deploy.motion import Matrices, motion_over
 from foveate.deploy.tracker import Tracker
 from foveate.errors import InputError
 from foveate.io.settings import Settings
-from foveate.io.validate import positive, require
+from foveate.io.validate import at_least, positive, require
 from foveate.names import GATE
 from foveate.ros.model import RobotModel
 from foveate.ros.poses import PoseHistory, heading, matrix_of
-from foveate.ros.records import AXES, Decision, Detections, Estimate, Odometry
+from foveate.ros.records import AXES, Decision, Detections, Estimate, Map, Odometry
+from foveate.ros.walls import Walls, walls_of
 
 STOP = (0.0,) * len(AXES)
 Beliefs = tuple[kalman.Means, kalman.Covariances]
@@ -32,7 +33,8 @@ class CoreSettings(Settings):
     """Settings of a node; times in s.
 
     `detections_frame` replaces the frame of the detections' headers. Detections in `sensor_frame` are moved by
-    `sensor_pose`, x, y, z, qx, qy, qz, qw of the sensor in the body frame [m].
+    `sensor_pose`, x, y, z, qx, qy, qz, qw of the sensor in the body frame [m]. With `needs_map` the robot stands until
+    there is a map; in one it is a disc of `robot_radius_m`, and keeps `keep_off_m` more off walls.
     """
 
     odometry_timeout_s: float = 0.5
@@ -42,11 +44,15 @@ class CoreSettings(Settings):
     detections_frame: str = ""
     sensor_frame: str = ""
     sensor_pose: tuple[float, float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    needs_map: bool = False
+    robot_radius_m: float = 0.2
+    keep_off_m: float = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()
         # No detection is younger than the clock: without a lag all would be too late.
         positive(self, "odometry_timeout_s", "forget_after_s", "lag_s")
+        at_least(0, self, "robot_radius_m", "keep_off_m")
         mount = matrix_of(self.sensor_pose[:3], self.sensor_pose[3:])
         require(mount is not None, "sensor_pose", self.sensor_pose, "expected x, y, z, qx, qy, qz, qw, finite")
 
@@ -54,7 +60,8 @@ class CoreSettings(Settings):
 class Core:
     """State of a node: poses of the last seconds, a tracker, and the policy.
 
-    `on_odometry` and `on_detections` return what is wrong with a message that they leave out, in one line; else None.
+    `on_odometry`, `on_detections` and `on_map` return what is wrong with a message that they leave out, in one line;
+    else None.
     """
 
     def __init__(self, model: RobotModel, settings: CoreSettings) -> None:
@@ -68,6 +75,8 @@ class Core:
         assert mount is not None, "checked with the settings"
         self._mount = mount
         self._columns = [AXES.index(axis) for axis in model.axes]
+        self._walls: Walls | None = None
+        self._next_map: Map | None = None
         self._forget()
 
     def _forget(self) -> None:
@@ -103,10 +112,28 @@ class Core:
             self._forget()
         if self._frame and message.frame != self._frame:
             problem = f"odometry: its frame was {self._frame}, and is {message.frame}; all beliefs are forgotten"
+            self._walls = None
             self._forget()
         self._frame, self._child = message.frame, message.child
         self._poses.add(message.time_s, message.position, message.quaternion)
-        return problem
+        return problem or self._take_map()
+
+    def on_map(self, message: Map) -> str | None:
+        """Take the robot's map, in the frame of the odometry: now, or with the first of that. It takes seconds."""
+        self._next_map = message
+        return self._take_map() if self._frame else None
+
+    def _take_map(self) -> str | None:
+        message, self._next_map, settings = self._next_map, None, self.settings
+        if message is None:
+            return None
+        if message.frame.strip("/") != self._frame.strip("/"):
+            return f"map: its frame is {message.frame!r}, that of the odometry {self._frame!r}: expected the same"
+        try:
+            self._walls = walls_of(self.model, message.grid, settings.robot_radius_m, settings.keep_off_m)
+        except InputError as error:
+            return f"map: {error}"
+        return None
 
     def on_detections(self, message: Detections, now_s: float) -> str | None:
         """Correct the beliefs by detections of any age up to `lag_s`; a stamp of 0 stands for now."""
@@ -162,6 +189,8 @@ class Core:
         latest_s, limit_s = self._poses.latest_s, self.settings.odometry_timeout_s
         if latest_s is None:
             return "no odometry yet"
+        if self.settings.needs_map and self._walls is None:
+            return "no map yet"
         if now_s - latest_s > limit_s:
             return f"the odometry is {now_s - latest_s:.3g} s old, more than odometry_timeout_s = {limit_s:g} s"
         if latest_s - now_s > limit_s:
@@ -188,7 +217,11 @@ class Core:
         mean, covariance = _predicted(mean, covariance, self._step)
         belief = Belief(mean, covariance=covariance, step_s=self.period_s)
         pose = self._poses.latest()
-        command = self.model.decide(belief, pose if self.model.scenario.dimension == 3 else heading(pose))
+        here = pose if self.model.scenario.dimension == 3 else heading(pose)
+        if self._walls is None:
+            command = self.model.decide(belief, here)
+        else:
+            command = self._walls.shortened(here, self._walls.decide(belief, here))
         twist = np.zeros(len(AXES))
         twist[self._columns] = command
         return tuple(twist.tolist())

@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from foveate.errors import InputError
+from foveate.io.occupancy import OccupancyGrid
 from foveate.ros.markers import UPRIGHT, Shape
-from foveate.ros.records import Detections, Estimate, Odometry, Position, Quaternion
+from foveate.ros.records import Detections, Estimate, Map, Odometry, Position, Quaternion
 
+MAX_TURN = 1e-4
+"""Largest part of a map's quaternion that is rounding."""
 KINDS = {"ellipsoid": "SPHERE", "text": "TEXT_VIEW_FACING", "line": "LINE_STRIP"}
 
 
@@ -54,6 +58,23 @@ def detections_of_vision(message: Any) -> tuple[Detections, int]:
     points = {name: (p.x, p.y, p.z) for name, p in centres if name}
     unnamed = sum(not name for name, _ in centres)
     return Detections(seconds(message.header.stamp), message.header.frame_id, points), unnamed
+
+
+def map_of(message: Any) -> Map:
+    """Record of a nav_msgs/OccupancyGrid: occupied is all from 50 % on, and what is unknown (-1).
+
+    Raises InputError for a map without cells, of a wrong size, or turned.
+    """
+    info, data = message.info, np.asarray(message.data, np.int16)
+    if not info.resolution > 0 or len(data) != info.width * info.height or not len(data):
+        size = f"{len(data)} cells of {info.resolution:g} m"
+        raise InputError(f"map: {size}: expected {info.width} x {info.height} cells, and a resolution > 0")
+    origin, q = info.origin.position, info.origin.orientation
+    if max(abs(q.x), abs(q.y), abs(q.z)) > MAX_TURN:
+        raise InputError("map: its origin is turned: expected a map along the axes of its frame")
+    cells = data.reshape(info.height, info.width).T
+    occupied = np.ascontiguousarray((cells < 0) | (cells >= 50))
+    return Map(message.header.frame_id, OccupancyGrid(occupied, np.array([origin.x, origin.y]), float(info.resolution)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,25 +1,24 @@
 """The policy that a node runs, and the robot that it was trained for: from an ONNX file, a run folder or a preset."""
 
-import hashlib
-import json
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from foveate.api import load
 from foveate.deploy.belief import Belief
-from foveate.deploy.onnx.export import FORMAT, NO_DIGEST, VERSION
+from foveate.deploy.exported import load_exported
+from foveate.deploy.onnx.session import Session, open_file
+from foveate.deploy.policy import TrainedPolicy
 from foveate.errors import InputError
-from foveate.io.files import read_bytes
-from foveate.io.records import from_table
 from foveate.io.validate import require
+from foveate.models.obstacles import Obstacles
 from foveate.ros.records import AXES
 from foveate.scenario.scenario import Scenario
 
 Pose = Float[np.ndarray, "..."]
+Decide = Callable[[Belief, Pose], Float[np.ndarray, " m"]]
 INPUTS = ("pose", "mean", "information", "present", "known_input", "steps_left", "step")
 """Inputs of a file that a node can give."""
 MOST_TARGETS = 64
@@ -28,12 +27,16 @@ MOST_TARGETS = 64
 
 @dataclass(frozen=True, kw_only=True)
 class RobotModel:
-    """A policy by its name: `decide` maps a predicted belief and a pose to the command of `axes` [m/s, rad/s]."""
+    """A policy by its name: `decide` maps a predicted belief and a pose to the command of `axes` [m/s, rad/s].
+
+    `in_map` makes the `decide` of another map; None where the policy knows of none.
+    """
 
     name: str
     scenario: Scenario
     axes: tuple[str, ...]
-    decide: Callable[[Belief, Pose], Float[np.ndarray, " m"]]
+    decide: Decide
+    in_map: Callable[[Obstacles], Decide] | None = None
 
     def __post_init__(self) -> None:
         require(set(self.axes) <= set(AXES), "axes", self.axes, f"expected some of {', '.join(AXES)}")
@@ -52,12 +55,17 @@ def load_model(source: str) -> RobotModel:
     """
     if source.endswith(".onnx"):
         return _of_file(source)
-    policy = load(source)
+    return _in_jax(load(source))
 
+
+def _in_jax(policy: TrainedPolicy) -> RobotModel:
     def decide(belief: Belief, pose: Pose) -> Float[np.ndarray, " m"]:
         return policy(belief.padded(MOST_TARGETS), pose)
 
-    model = RobotModel(name=source, scenario=policy.scenario, axes=policy.axes, decide=decide)
+    def in_map(obstacles: Obstacles) -> Decide:
+        return _in_jax(replace(policy, obstacles=obstacles)).decide
+
+    model = RobotModel(name=policy.name, scenario=policy.scenario, axes=policy.axes, decide=decide, in_map=in_map)
     size, d = policy.problem.motion.state_size, policy.scenario.dimension
     decide(Belief(np.zeros((0, size)), covariance=np.zeros((0, size, size))), np.zeros(3) if d == 2 else np.eye(4))
     policy.reset()
@@ -65,37 +73,17 @@ def load_model(source: str) -> RobotModel:
 
 
 def _of_file(path: str) -> RobotModel:
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise InputError(f"{path}: needs onnxruntime ({error}): pip install onnxruntime") from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1  # a network this small is slower on several threads
-    data = read_bytes(path, "ONNX file")
-    try:
-        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime has an exception of its own for everything
-        raise InputError(f"{path}: is no ONNX file: {str(error)[:200]}") from None
-    facts = session.get_modelmeta().custom_metadata_map
-    if (facts.get("format"), facts.get("format_version")) != (FORMAT, str(VERSION)) or "scenario" not in facts:
-        raise InputError(f"{path}: has no scenario in it: expected a file of foveate export by this version or a later")
-    before, said, after = data.rpartition(facts.get("sha256", "").encode())
-    if hashlib.sha256(before + NO_DIGEST.encode() + after).hexdigest().encode() != said:
-        raise InputError(f"{path}: is damaged or was changed: it does not fit its digest; export it again")
-    scenario = from_table(Scenario, json.loads(facts["scenario"]), path)
-    if unknown := [each.name for each in session.get_inputs() if each.name not in INPUTS]:
+    """The policy of a file: without JAX, but for a policy with rays, whose map is looked up in JAX."""
+    session = open_file(path)
+    if session.rays:
+        return _in_jax(load_exported(path))
+    if unknown := [name for name in session.wanted if name not in INPUTS]:
         raise InputError(f"{path}: its policy reads {', '.join(unknown)}, which a node does not have")
-    return RobotModel(
-        name=path,
-        scenario=scenario,
-        axes=tuple(json.loads(facts["output"])["axes"]),
-        decide=_session(session, int(facts["steps_left"])),
-    )
+    return RobotModel(name=path, scenario=session.scenario, axes=session.axes, decide=_by(session))
 
 
-def _session(session: Any, steps_left: int) -> Callable[[Belief, Pose], Float[np.ndarray, " m"]]:
-    wanted = [each.name for each in session.get_inputs()]
-    inputs_of_state = next((each.shape[-1] for each in session.get_inputs() if each.name == "known_input"), 0)
+def _by(session: Session) -> Decide:
+    inputs_of_state, left = int(session.wanted.get("known_input", (0,))[-1]), int(session.facts["steps_left"])
 
     def decide(belief: Belief, pose: Pose) -> Float[np.ndarray, " m"]:
         known = np.zeros((len(belief.mean), inputs_of_state)) if belief.known_input is None else belief.known_input
@@ -105,10 +93,10 @@ def _session(session: Any, steps_left: int) -> Callable[[Belief, Pose], Float[np
             "information": belief.information.astype(np.float32),
             "present": belief.present,
             "known_input": known.astype(np.float32),
-            "steps_left": np.array(steps_left, np.int64),
+            "steps_left": np.array(left, np.int64),
             "step": np.array(0, np.int64),
         }
-        (control,) = session.run(["control"], {name: inputs[name][None] for name in wanted})
+        control = session.commands({name: value[None] for name, value in inputs.items()})
         if not np.isfinite(control).all():
             raise InputError("belief, pose: expected numbers that float32 can hold, also squared")
         return control[0].astype(float)

@@ -17,7 +17,7 @@ from foveate.io.jax_settings import keep_compiled
 from foveate.names import GATE
 from foveate.ros.core import STOP, Core, CoreSettings
 from foveate.ros.markers import belief_shapes, view_shapes
-from foveate.ros.messages import Messages, detections_of_array, detections_of_vision, odometry_of
+from foveate.ros.messages import Messages, detections_of_array, detections_of_vision, map_of, odometry_of
 from foveate.ros.model import load_model
 from foveate.ros.records import Decision, Detections
 
@@ -37,10 +37,12 @@ class Driver:
     """Subscriptions, publishers and the timer of a node.
 
     `find` returns message classes by name, or raises ImportError where a package is missing; `sensor_qos` is the
-    quality of service of the subscriptions.
+    quality of service of the subscriptions, `map_qos` that of the map, which is sent once.
     """
 
-    def __init__(self, node: Any, find: Callable[[str], Any], sensor_qos: Any, policy: str = "") -> None:
+    def __init__(
+        self, node: Any, find: Callable[[str], Any], sensor_qos: Any, policy: str = "", map_qos: Any = 1
+    ) -> None:
         self._node, self._find, self._messages = node, find, Messages(find=find)
         self._said: dict[str, float] = {}
         policy = policy or self._parameter("policy", "")
@@ -48,16 +50,21 @@ class Driver:
             raise InputError("policy: expected a run folder, a preset or a file of foveate export")
         defaults = CoreSettings()
         names = ("odometry_timeout_s", "lag_s", "forget_after_s", "detections_frame", "sensor_frame")
+        names = (*names, "robot_radius_m", "keep_off_m")
+        map_topic = str(self._parameter("map_topic", ""))
         values = {name: self._parameter(name, getattr(defaults, name)) for name in names}
         mount = tuple(self._parameter("sensor_pose", list(defaults.sensor_pose)))
         gate = self._parameter("gate", GATE)
         self._is_stamped = bool(self._parameter("stamped", False))
         if len(mount) != len(defaults.sensor_pose):
             raise InputError(f"sensor_pose = {list(mount)}: expected x, y, z, qx, qy, qz, qw")
-        settings = CoreSettings(**values, sensor_pose=mount, gate=gate if gate < 1.0 else None)
+        gate = gate if gate < 1.0 else None
+        settings = CoreSettings(**values, sensor_pose=mount, gate=gate, needs_map=map_topic != "")
         self.core = Core(load_model(policy), settings)
         self._dimension = self.core.model.scenario.dimension
         self._connect(sensor_qos)
+        if map_topic:
+            self._node.create_subscription(find("nav_msgs/msg/OccupancyGrid"), map_topic, self._on_map, map_qos)
         self._start()
 
     def _parameter(self, name: str, default: Any) -> Any:
@@ -97,6 +104,13 @@ class Driver:
 
     def _on_odometry(self, message: Any) -> None:
         self._complain(self.core.on_odometry(odometry_of(message)))
+
+    def _on_map(self, message: Any) -> None:
+        self.stop()  # it may take seconds, in which no command is sent
+        try:
+            self._complain(self.core.on_map(map_of(message)))
+        except InputError as error:
+            self._complain(str(error))
 
     def _on_poses(self, message: Any) -> None:
         self._take(detections_of_array(message))
@@ -209,7 +223,8 @@ def _run(given: list[str]) -> int:
     node = rclpy.create_node(NODE)
     driver = None
     try:
-        driver = Driver(node, find_class, qos.qos_profile_sensor_data, *names)
+        kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        driver = Driver(node, find_class, qos.qos_profile_sensor_data, *names, map_qos=kept)
         rclpy.spin(node)
     except KeyboardInterrupt:
         return 0

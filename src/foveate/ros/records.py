@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from foveate.io.occupancy import OccupancyGrid
+
 AXES = ("vx", "vy", "vz", "wx", "wy", "wz")
 """Numbers of a twist in the body frame, in the order of geometry_msgs/Twist."""
 Position = tuple[float, float, float]
@@ -28,6 +30,13 @@ class Detections(NamedTuple):
     time_s: float
     frame: str
     positions: Mapping[str, Position]
+
+
+class Map(NamedTuple):
+    """Occupied cells in a world frame, as nav_msgs/OccupancyGrid has them; unknown ones are occupied."""
+
+    frame: str
+    grid: OccupancyGrid
 
 
 class Estimate(NamedTuple):

@@ -9,6 +9,7 @@ from foveate.geometry.distance_grid import Nodes, of_cells
 from foveate.geometry.shapes import Shape, union_distance
 from foveate.geometry.way_tables import Tables, tables
 from foveate.geometry.ways import Ways
+from foveate.io.occupancy import OccupancyGrid
 from foveate.io.validate import require
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
@@ -35,8 +36,13 @@ def shape_nodes(maps: Sequence[Sequence[Shape]], box: Box, cell_m: float) -> Nod
     return nodes._replace(distance=distance.reshape(len(maps), *counts))
 
 
+def map_nodes(grid: OccupancyGrid) -> Nodes:
+    """Signed distances to the occupied cells of a robot's map."""
+    return _cell_nodes(grid.occupied.tobytes(), grid.occupied.shape, tuple(grid.low.tolist()), grid.cell_m)
+
+
 @lru_cache(maxsize=4)
-def cell_nodes(occupied: bytes, shape: tuple[int, int], low: tuple[float, ...], cell_m: float) -> Nodes:
+def _cell_nodes(occupied: bytes, shape: tuple[int, int], low: tuple[float, ...], cell_m: float) -> Nodes:
     """Signed distances to the occupied cells of a map, given as bytes so that equal maps are computed once."""
     return of_cells(np.frombuffer(occupied, bool).reshape(shape), np.array(low), cell_m)
 

@@ -17,7 +17,7 @@ from foveate.io.occupancy import read_map
 from foveate.io.settings import Settings, tag
 from foveate.io.validate import at_least, positive, require
 from foveate.models.obstacles import Obstacles
-from foveate.scenario.obstacle_grids import Box, cell_nodes, extruded, shape_nodes, ways_among
+from foveate.scenario.obstacle_grids import Box, extruded, map_nodes, shape_nodes, ways_among
 
 MAX_SAMPLES = 256
 """Most places on a line of sight at which a soft view looks."""
@@ -59,7 +59,10 @@ class BaseObstacles(Settings):
 
         Raises InputError for a map that is not readable, does not hold the box, or has no room for the agent.
         """
-        nodes = self.nodes(box)
+        return self.among(self.nodes(box), depth_m)
+
+    def among(self, nodes: Nodes, depth_m: float) -> Obstacles:
+        """Obstacles of other maps than these settings', given as signed distances, for the same agent."""
         grid, freest = DistanceGrid.of(nodes), nodes.freest()
         needed = self.robot_radius_m + nodes.slack_m + 0.5 * sight.WAY_CELLS * nodes.cell_m
         room = float(nodes.distance.reshape(len(freest), -1).max(axis=1).min())
@@ -162,7 +165,7 @@ class OccupancyObstacles(BaseObstacles):
     def nodes(self, box: Box) -> Nodes:
         """Signed distances of the one map, read and checked."""
         grid = read_map(self.file)
-        high = grid.low + grid.cell_m * np.array(grid.occupied.shape)
+        high = grid.high
         (low_x, low_y), (high_x, high_y) = box[0][:2], box[1][:2]
         holds = grid.low[0] <= low_x and grid.low[1] <= low_y and high_x <= high[0] and high_y <= high[1]
         if not holds:
@@ -170,7 +173,7 @@ class OccupancyObstacles(BaseObstacles):
                 f"file = {self.file!r}: the map, from {_text(grid.low)} to {_text(high)} m, does not hold the scene, "
                 f"from {_text(box[0][:2])} to {_text(box[1][:2])} m: expected scenes.centre_m and half sides within it"
             )
-        nodes = cell_nodes(grid.occupied.tobytes(), grid.occupied.shape, tuple(grid.low.tolist()), grid.cell_m)
+        nodes = map_nodes(grid)
         return nodes if self.heights_m is None else extruded(nodes, self.heights_m, box)
 
 

@@ -1,6 +1,7 @@
 """What a file computes, as a JAX function, and its inputs: beliefs in metres in, a command in m/s and rad/s out."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +11,7 @@ from jax.export import symbolic_shape
 
 from foveate.deploy.onnx.trace import NoRule, Shape, Trace, is_number, trace
 from foveate.models.problem import Problem
-from foveate.models.robot import Robot
+from foveate.models.robot import Robot, Surroundings
 from foveate.simulation.records import Observation, Policy
 
 
@@ -41,8 +42,13 @@ class Input(NamedTuple):
     meaning: str
 
 
-def possible_inputs(problem: Problem) -> tuple[Input, ...]:
-    """All that a policy may read, in order."""
+def rays_of(policy: Policy) -> int:
+    """Number of rays along which a policy is told free ranges; 0 for one that knows of no obstacles."""
+    return getattr(policy, "rays", 0)
+
+
+def possible_inputs(problem: Problem, rays: int = 0) -> tuple[Input, ...]:
+    """All that a policy may read, in order; with `rays` also what it is told of obstacles (`Surroundings`)."""
     n_y, m_y = problem.motion.state_size, problem.motion.input_size
     if problem.agent.space.dimension == 2:
         pose_shape, pose = ("b", 3), "[x, y, yaw] [m, rad]"
@@ -62,6 +68,21 @@ def possible_inputs(problem: Problem) -> tuple[Input, ...]:
         Input("known_input", "float32", ("b", "n", m_y), known_input),
         Input("steps_left", "int64", ("b",), left),
         Input("step", "int64", ("b",), step),
+        *(_inputs_of_obstacles(problem.agent.space.dimension, rays) if rays else ()),
+    )
+
+
+def _inputs_of_obstacles(dimension: int, rays: int) -> tuple[Input, ...]:
+    """What a policy with rays is told of obstacles."""
+    place = "where to drive next, straight ahead, on the way around obstacles to each target's mean, in the world [m]"
+    ranges = "free range along each of the metadata's rays, at most their longest [m]"
+    straight = "true where the way is a straight line, and way_place the mean's position"
+    return (
+        Input("ranges", "float32", ("b", rays), ranges),
+        Input("way_place", "float32", ("b", "n", dimension), place),
+        Input("way_length", "float32", ("b", "n"), "length of the whole way [m]"),
+        Input("is_straight", "bool", ("b", "n"), straight),
+        Input("is_seen", "bool", ("b", "n"), "true where no obstacle is on the line to the target's mean"),
     )
 
 
@@ -76,11 +97,14 @@ def trace_decisions(policy: Policy, problem: Problem) -> Trace:
         policy, problem = (jax.tree.map(_single, tree) for tree in (policy, problem))
         robot = Robot.of(problem)
 
-        def decide(pose, mean, information, present, known_input, left, step):
+        rays = rays_of(policy)
+
+        def decide(pose, mean, information, present, known_input, left, step, *around):
             # Whatever padding holds, NaN too, must not reach the command.
             mean, known_input = (jnp.where(present[:, None], x, 0.0) for x in (mean, known_input))
             information = jnp.where(present[:, None, None], information, problem.prior_information)
             seen = Observation(step, left, pose, mean, information, present, known_input, robot.at(step))
+            seen = replace(seen, surroundings=_surroundings(present, *around) if around else None)
             memory = policy.start(seen)
             if jax.tree.leaves(memory):
                 raise NoRule("a memory from one decision to the next")
@@ -89,9 +113,15 @@ def trace_decisions(policy: Policy, problem: Problem) -> Trace:
         sizes = dict(zip("bn", symbolic_shape("b, n"), strict=True))
         inputs = [
             jax.ShapeDtypeStruct([sizes.get(str(size), size) for size in each.shape], types[each.dtype])
-            for each in possible_inputs(problem)
+            for each in possible_inputs(problem, rays)
         ]
         return trace(jax.vmap(decide), inputs, KEPT)
+
+
+def _surroundings(present, ranges, place_world, length, is_straight, is_seen) -> Surroundings:
+    """Surroundings of which padding is finite."""
+    place_world = jnp.where(present[:, None], place_world, 1.0)
+    return Surroundings(ranges, place_world, jnp.where(present, length, 1.0), is_straight, is_seen)
 
 
 def _single(leaf: Any) -> Any:

@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foveate import __version__
-from foveate.deploy.onnx.decision import Input, possible_inputs, trace_decisions
+from foveate.deploy.onnx.decision import Input, possible_inputs, rays_of, trace_decisions
 from foveate.deploy.onnx.trace import NoRule
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
+from foveate.geometry.sight import fan
 from foveate.io.files import write_atomic
 from foveate.io.records import to_table
 from foveate.models.problem import Problem
+from foveate.policies.surroundings import RANGE_DEPTHS
+from foveate.policies.tokens import STANDOFF
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.target import LinearTarget
 from foveate.simulation.records import Policy
@@ -44,7 +47,7 @@ def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
     return _graph(policy, problem, DEFAULT_OPSET)[1]
 
 
-def metadata_of(experiment: Experiment, inputs: Sequence[Input]) -> dict[str, str]:
+def metadata_of(experiment: Experiment, inputs: Sequence[Input], rays: int = 0) -> dict[str, str]:
     """Metadata of a file with these inputs: texts, all but the first four of them JSON."""
     scenes, problem = experiment.scenario.scenes, experiment.scenario.problem()
     agent, period, sensor = problem.agent, problem.period, problem.sensor
@@ -76,8 +79,17 @@ def metadata_of(experiment: Experiment, inputs: Sequence[Input]) -> dict[str, st
         "scenario": to_table(experiment.scenario),
         "model": model,
     }
+    if rays:
+        structured["rays"] = _rays_of(problem, rays)
     plain = {"format": FORMAT, "format_version": str(VERSION), "foveate_version": __version__}
     return {**plain, "policy": experiment.policy.kind} | {name: json.dumps(value) for name, value in structured.items()}
+
+
+def _rays_of(problem: Problem, rays: int) -> dict[str, Any]:
+    """Unit vectors of the rays in the body frame, their longest range, and where ways end before a target [m]."""
+    depth = float(problem.sensor.view.extent.ahead_m)
+    directions = fan(rays, problem.agent.space.dimension)
+    return {"directions": _plain(directions), "longest_m": RANGE_DEPTHS * depth, "standoff_m": STANDOFF * depth}
 
 
 def state_names(scenario: Scenario) -> list[str] | None:
@@ -128,7 +140,7 @@ def _model(experiment: Experiment, policy: Policy, opset: int) -> "tuple[ModelPr
     least = helper.find_min_ir_version_for(versions)
     producer = {"producer_name": "foveate", "producer_version": __version__}
     model = helper.make_model(body, opset_imports=versions, ir_version=least, **producer)
-    helper.set_model_props(model, metadata_of(experiment, inputs))
+    helper.set_model_props(model, metadata_of(experiment, inputs, rays_of(policy)))
     checker.check_model(model, full_check=True)
     return model, inputs
 
@@ -142,7 +154,7 @@ def _graph(policy: Policy, problem: Problem, opset: int) -> "tuple[Graph, tuple[
         from foveate.deploy.onnx.translate import translate
     except ImportError as error:
         raise InputError(f"exporting needs onnx ({error}): pip install 'foveate[onnx]'") from error
-    graph, inputs = Graph(opset), possible_inputs(problem)
+    graph, inputs = Graph(opset), possible_inputs(problem, rays_of(policy))
     try:
         decisions = trace_decisions(policy, problem)
         graph.finish(translate(graph, decisions, [each.name for each in inputs]), "control")
