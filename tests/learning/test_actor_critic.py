@@ -77,8 +77,8 @@ def test_modes_of_padding_change_neither_density_nor_entropy_nor_their_slopes():
     def worth(modes):
         return log_density(modes, jnp.array([0.2, 0.3]), jnp.array([0.4, 0.2])) + entropy(modes)
 
-    np.testing.assert_allclose(worth(padded), worth(few), rtol=1e-12)
-    slope, expected = jax.grad(worth)(padded), jax.grad(worth)(few)
+    np.testing.assert_allclose(*(jax.jit(worth)(modes) for modes in (padded, few)), rtol=1e-12)
+    slope, expected = (jax.jit(jax.grad(worth))(modes) for modes in (padded, few))
     np.testing.assert_allclose(slope.log_weight[jnp.array([0, 2])], expected.log_weight, rtol=1e-12)
     np.testing.assert_allclose(slope.action[jnp.array([0, 2])], expected.action, rtol=1e-12)
     assert slope.log_weight[1] == 0
@@ -121,11 +121,12 @@ def test_the_return_equals_the_score_of_the_rollout(protocol, objectives):
 @pytest.mark.parametrize("objective", ["mean", "seen"])
 def test_undiscounted_rewards_of_windows_are_the_scores_of_their_steps(objective):
     rng = np.random.default_rng(2)
-    episode = training_episode(TINY.scenario.problem(), TINY.scenario.scenes, jax.random.key(2), noise=True)
+    problem, scenes = TINY.scenario.problem(), TINY.scenario.scenes
+    episode = eqx.filter_jit(training_episode)(problem, scenes, jax.random.key(2), noise=True)
     n, K = len(episode.present), len(episode.inputs)
     log_det, visible = rng.normal(size=(K, n)), rng.random((K, n)) < 0.5
     parts = (jnp.asarray(log_det), jnp.asarray(visible), jnp.zeros(()), episode, objective, False)
-    steps, shares = rewards(*parts, False), rewards(*parts, True)
+    steps, shares = (eqx.filter_jit(rewards)(*parts, shared) for shared in (False, True))
     present, horizon = np.asarray(episode.present), int(episode.horizon)
     expected = (log_det if objective == "mean" else visible)[:horizon, present].mean(axis=1)
     np.testing.assert_allclose(steps[:horizon], expected, rtol=1e-12)
@@ -242,8 +243,9 @@ def distracted(experiment):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["whole episodes", "windows"])
+@pytest.mark.parametrize("name", ["whole episodes", pytest.param("windows", marks=pytest.mark.exhaustive)])
 def test_learns(name):
+    """By windows, too, which the next test trains and resumes."""
     experiment = {"whole episodes": TINY, "windows": LONG}[name]
     key = jax.random.key(2)
     learner = begun(experiment, distracted(experiment))

@@ -77,8 +77,10 @@ def alone(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("alone")
 def test_eight_devices_equal_one_bit_for_bit(tmp_path):
+    """Two devices are compared in this process below."""
     eight = "--xla_force_host_platform_device_count=8"
     with started(TINY, tmp_path / "eight", flags=eight) as process:
         precisions = []

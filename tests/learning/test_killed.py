@@ -129,8 +129,15 @@ def untimed(run):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiment", [MODEL, ACTOR_CRITIC], ids=["policy-gradient", "actor-critic"])
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        pytest.param(MODEL, id="policy-gradient"),
+        pytest.param(ACTOR_CRITIC, id="actor-critic", marks=pytest.mark.exhaustive),
+    ],
+)
 def test_killed_at_random_moments_it_ends_the_same(experiment, tmp_path, monkeypatch):
+    """Loop and files of the actor-critic are the same; tests/learning/test_actor_critic.py resumes its own state."""
     undisturbed = train(experiment, tmp_path / "a", seed=3)
     disk = mortal(monkeypatch)
     out, outcome = tmp_path / "b", None

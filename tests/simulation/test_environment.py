@@ -135,11 +135,10 @@ def alone(environment: Environment, key, actions):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["surrogate, no noise", "two levels at the truth, targets that come and go"])
-def test_a_batch_is_its_environments_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch):
+def test_a_batch_is_its_environments_one_by_one(monkeypatch: pytest.MonkeyPatch):
     """Through several ends of episodes, also where more are over at once than are drawn at once."""
     monkeypatch.setattr(under_test, "RESETS_PER_CHUNK", 2)
-    environment, count, steps = environment_of(name), 6, 20
+    environment, count, steps = environment_of("two levels at the truth, targets that come and go"), 6, 20
     keys = jax.random.split(jax.random.key(7), count)
     actions = jax.random.uniform(jax.random.key(8), (steps, count, 2), minval=-1.2, maxval=1.2)
     batched = batch(environment, keys, actions)

@@ -100,7 +100,12 @@ GAINS = {
 }
 """Scales of weights with which decisions differ and are not all extreme, where that is not 1."""
 QUICK = ("attention, body", "attention, body, in space", "pointer")
-TIERED = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in CASES]
+COMBINED = ("attention, world", "pointer, in space", "camera that turns")
+"""Cases of which each part is in another case."""
+TIERED = [
+    pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK) + [pytest.mark.exhaustive] * (name in COMBINED))
+    for name in CASES
+]
 
 
 def strong(experiment):
@@ -211,7 +216,11 @@ def test_values_in_padding_do_not_matter():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("opset", "name"),
-    [(OPSETS[0], "attention, world, in space"), (OPSETS[0], "pointer, in space"), (OPSETS[-1], "pointer, in space")],
+    [
+        (OPSETS[0], "attention, world, in space"),
+        (OPSETS[0], "camera that turns, in space"),
+        (OPSETS[-1], "camera that turns, in space"),
+    ],
 )
 def test_every_opset_computes_the_same(name, opset):
     experiment = CASES[name]
