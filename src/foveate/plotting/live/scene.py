@@ -7,17 +7,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from foveate.geometry.numpy_poses import rotation
-from foveate.io.figures import BLACK, GREY, SKY
+from foveate.io.figures import BLACK, GREY, PURPLE, SKY
 from foveate.plotting.ellipsoids import CIRCLE, box_lines, faces, is_closed, lifted, principal_axes
-from foveate.plotting.episode_data import TRAIL_STEPS, EpisodeData
+from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData
 from foveate.plotting.scene import AGENT, BORDER, SEEN, UNSEEN
 from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
 from foveate.plotting.snapshot import snapshot
+from foveate.plotting.undetected import DARKEST
 from foveate.plotting.walls import WALL, loops
 
 LAYER = 0.01
@@ -124,6 +125,7 @@ class LiveScene:
         # Shadows show heights.
         scene.configure_default_lights(cast_shadow=not planar)
         self._floor(extent)
+        self._cells, self._shades = _cells(scene, data)
         if data.walls is not None:
             add_line(scene, "/walls", WALL, 2.5, np.concatenate([segments(lifted(loop)) for loop in loops(data.walls)]))
         self._agent = scene.add_frame("/agent", show_axes=False)
@@ -176,6 +178,8 @@ class LiveScene:
         set_segments(self._path, [segments(lifted(state.path, 2 * layer))])
         tracks = np.where(state.tracked[..., None], state.tracks, np.nan)
         set_segments(self._trails, [segments(lifted(track, layer)) for track in tracks.swapaxes(0, 1)])
+        if self._cells is not None:
+            self._cells.colors = self._shades[moment // SUBSTEPS]
         mean, truth = lifted(state.estimate, 4 * layer), lifted(state.truth, 5 * layer)
         for i, bodies in enumerate(zip(self._beliefs, self._borders, self._means, strict=True)):
             belief, border, estimate = bodies
@@ -199,6 +203,29 @@ class LiveScene:
                     each.position = truth[i]
             for name in self._names[i : i + 1] if i < len(truth) else ():
                 name.text = f"{state.columns[i] + 1}"
+
+
+def _cells(scene: Any, data: EpisodeData) -> tuple[Any, UInt8[np.ndarray, "instants cells 3"]]:
+    """Add the cells of undetected targets as points, if there are any; return them, and their colours over time.
+
+    The more targets are expected in a cell, the darker it is; on the floor cells touch each other, in space they do not
+    hide the scene.
+    """
+    tracks = data.tracks
+    if tracks is None or tracks.undetected is None:
+        return None, np.zeros((0, 0, 3), np.uint8)
+    cells, (low, high) = tracks.undetected, tracks.box
+    counts = np.array(cells.shape[1:])
+    centres = (
+        low + (np.stack(np.unravel_index(np.arange(counts.prod()), counts), axis=-1) + 0.5) * (high - low) / counts
+    )
+    level = cells.reshape(len(cells), -1, 1) / max(float(cells.max()), 1e-12)
+    shades = (255 + DARKEST * level * (np.array(color(PURPLE)) - 255)).astype(np.uint8)
+    planar = data.space.dimension == 2
+    size = float(((high - low) / counts).min()) * (0.9 if planar else 0.1)
+    shape = "square" if planar else "circle"
+    points = lifted(centres, -0.0005) if planar else centres
+    return scene.add_point_cloud("/undetected", points, shades[0], point_size=size, point_shape=shape), shades
 
 
 def aim_cameras(server: Any, scene: LiveScene) -> None:
