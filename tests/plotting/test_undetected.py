@@ -14,7 +14,7 @@ from foveate.plotting import animation
 from foveate.plotting import scene as drawing
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, suite_data
 from foveate.plotting.live.chart import facts
-from foveate.plotting.live.scene import LiveScene
+from foveate.plotting.live.scene import PIXELS, LiveScene
 from foveate.plotting.replay_figure import replay_figure
 from foveate.plotting.track_data import TrackData
 from foveate.plotting.undetected import DARKEST, draw_counts
@@ -105,9 +105,11 @@ def test_the_live_view_shows_tracks_and_cells(episode):
     np.testing.assert_allclose(opacity, 0.35 * EXISTENCE[[0, 1, 3]])
     for i in range(3):
         np.testing.assert_allclose(kept.nodes[f"/target/{i}"].position[:2], episode.truth[-1, i])
-    cells = kept.nodes["/undetected"]
-    dark = np.argmin(cells.colors.sum(axis=1).astype(int))
-    np.testing.assert_allclose(cells.points[dark, :2], [3.0, -4.5], err_msg="the middle of the cell with 1.5 targets")
+    plan = kept.nodes["/undetected"]
+    assert plan.image.shape == (3 * PIXELS, 2 * PIXELS, 3), "rows along y, which viser draws from the first on"
+    np.testing.assert_array_equal(plan.position[:2], [0.0, -1.5])
+    dark = plan.image[::PIXELS, ::PIXELS].sum(axis=-1) < 3 * 255
+    np.testing.assert_array_equal(dark, [[False, True], [False, False], [False, False]])
     assert facts(episode, SUBSTEPS * STEPS)["confirmed tracks"] == "2"
 
 

@@ -9,7 +9,10 @@ from foveate.io.figures import BLACK, GREY
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
 from foveate.plotting.live.scene import add_line, segments, set_segments
 
-LEGEND = "beliefs (95 %): green, thick: detected; orange, thin: not detected; black: true targets"
+LEGEND = (
+    "beliefs (95 %): green, thick: detected, or a confirmed track; orange, thin: not; black: true targets; purple: "
+    "targets expected but never detected"
+)
 CURVES = "log det [nat]: targets (grey), mean (black)"
 MAX_CURVES = 20
 """With more targets, only the mean is drawn."""
