@@ -20,7 +20,7 @@ from foveate.io.npz import load_arrays, save_arrays
 from foveate.io.toml import digest, load_toml, read_toml
 from foveate.learning.loop import train
 from foveate.recordings.formats import load_recording
-from foveate.recordings.replay import ReplayRow
+from foveate.recordings.measures import ReplayRow
 from foveate.scenario.scenes import read_scenes
 
 FORMATS, SOURCE = Path(__file__).parent / "formats", Path(__file__).parents[1] / "src" / "foveate"

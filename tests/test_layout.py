@@ -90,13 +90,14 @@ TESTED_ELSEWHERE = {
     "ros.records": "ros/test_core.py",
     **{f"recordings.{name}": "recordings/test_tables.py" for name in ("clock", "fixes", "layout", "rows")},
     "recordings.unused": "recordings/test_outliers.py",
-    **dict.fromkeys(("recordings.compare", "recordings.starts"), "recordings/test_replay.py"),
+    **dict.fromkeys(("recordings.compare", "recordings.measures", "recordings.starts"), "recordings/test_replay.py"),
     **dict.fromkeys(("recordings.choice", "recordings.methods"), "recordings/test_split.py"),
     "recordings.replay_table": "cli/test_tables.py",
     **{
         f"plotting.{name}": "plotting/test_figures.py"
-        for name in ("animation", "episode_data", "replay_figure", "scene")
+        for name in ("animation", "episode_data", "replay_figure", "scene", "snapshot")
     },
+    "plotting.track_data": "plotting/test_undetected.py",
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
     **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},
     **dict.fromkeys(("study.jobs", "study.methods", "study.study"), "study/test_run.py"),

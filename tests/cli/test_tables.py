@@ -29,7 +29,7 @@ from foveate.experiment.presets import PRESETS
 from foveate.io.strict_json import parse_json
 from foveate.io.tables import Table, parts
 from foveate.names import HEURISTICS, METHODS
-from foveate.recordings.replay import ReplayRow
+from foveate.recordings.measures import ReplayRow
 from foveate.recordings.replay_table import replay_table
 from foveate.study.tables import consistency, differences, scores
 from foveate.study.tables import tables as study_tables

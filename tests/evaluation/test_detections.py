@@ -9,6 +9,8 @@ from helpers.worlds_of_detections import HALL
 
 from foveate.errors import InputError
 from foveate.evaluation.detections import detection_measures, lives, protocols_in, require_ids
+from foveate.evaluation.rows import Row
+from foveate.evaluation.summary import summarise
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Trace
 
@@ -64,6 +66,18 @@ def test_what_was_seen_is_of_lives_up_to_the_horizon(episode):
 def test_errors_are_of_confirmed_tracks_and_their_targets(episode):
     row = detection_measures(PROBLEM, *episode, [SCENE])[0]
     np.testing.assert_allclose([row["rmse_m"], row["nees"]], [2.0, 16.0])
+
+
+def test_without_a_confirmed_track_there_is_no_error_and_no_zero(episode):
+    trace, truth, alive = episode
+    object.__setattr__(trace, "existence", 0.1 * trace.existence)
+    row = detection_measures(PROBLEM, trace, truth, alive, [SCENE])[0]
+    assert (row["rmse_m"], row["nees"], row["gospa_false"], row["gospa_localisation"]) == (None, None, 0.0, 0.0)
+    others = {"scene": "a", "episode": 0, "seed": 0, "method": "still", "protocol": "true", "motion": "unbiased"}
+    known = Row(**others, targets=1, step_time_s=1.0, **row)
+    cell = summarise([known, replace(known, rmse_m=2.0, nees=16.0)], 4)[0]
+    assert (cell.rmse_m, cell.nees) == (2.0, 16.0)
+    assert (summarise([known], 4)[0].nees, known.record()["nees"]) == (None, None)
 
 
 def test_lives_follow_one_another_in_a_place():

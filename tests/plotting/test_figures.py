@@ -22,8 +22,9 @@ from foveate.experiment.presets import PRESETS
 from foveate.io.figures import new_figure, save
 from foveate.plotting import animation, figures
 from foveate.plotting import scene as drawing
-from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data, snapshot
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, episode_data
 from foveate.plotting.replay_figure import _timeline, replay_figure
+from foveate.plotting.snapshot import snapshot
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import TRUE
 

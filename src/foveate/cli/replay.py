@@ -15,6 +15,7 @@ class Replay(ReadingCommand):
     """Run methods on a recording of real targets, with the Kalman filter and the real field of view.
 
     Targets appear and disappear; positions are interpolated between fixes. All methods get the same noise and start.
+    Detections have ids and miss no target in view, unless --detection-probability or --clutter is given.
     With --out, writes replay.json, a figure and an animation, or a bag.
     """
 
@@ -24,8 +25,9 @@ class Replay(ReadingCommand):
     """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of
     frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""
     method: Annotated[tuple[str, ...], option("NAME ..")] = ("all",)
-    """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Also planners
-    in receding horizon, which take seconds to minutes: icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
+    """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Without ids of
+    detections also explore, alternate, lookahead. Also planners in receding horizon, which take seconds to minutes:
+    icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part to use [s]."""
     end: Annotated[float | None, option("SECONDS")] = None
@@ -46,6 +48,11 @@ class Replay(ReadingCommand):
     gate: Annotated[float | None, option("PROBABILITY|None")] = GATE
     """Probability of the chi-square gate; measurements outside are rejected. None: no gate. After four rejections in a
     row, the fifth measurement restarts the belief: the target has really jumped."""
+    detection_probability: Annotated[float | None, option("0.9")] = None
+    """Probability that a target in the view is detected. With this or --clutter detections have no ids, tracks are
+    those of the multi-target filter, and the table has GOSPA; the number replaces that of scenario.detections."""
+    clutter: Annotated[float | None, option("1")] = None
+    """Expected number of false alarms a step, uniform in the view, as --detection-probability."""
     seed: int = 0
     """Seed of the noise and of sampled starts."""
     out: Annotated[Path | None, option("DIR|FILE.mcap")] = None

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from foveate.errors import InputError
 from foveate.evaluation.gospa import mean_gospa, pairs
-from foveate.evaluation.metrics import longest_run, mean_or_zero, nees, squared_position_error
+from foveate.evaluation.metrics import longest_run, mean_or_none, mean_or_zero, nees, squared_position_error
 from foveate.models.detections.records import DetectionModel
 from foveate.models.problem import Problem
 from foveate.names import Objective
@@ -76,14 +76,15 @@ def _row(
     rows, columns = pairs(mean[-1, tracks] @ Z.T, states[-1, targets] @ Z.T, cutoff_m)
     error = mean[-1, tracks[rows]] - states[-1, targets[columns]]
     information = trace["information"][steps, tracks[rows]].astype(float)
+    square_m2 = mean_or_none(squared_position_error(error, Z))
     return {
         "score": score,
         "entropy": None,
         "seen_fraction": mean_or_zero(seen),
         "seen_step_fraction": float(visible.sum() / max(1, is_alive.sum())),
         "longest_unseen_s": float(unseen_s.max(initial=0.0)),
-        "rmse_m": math.sqrt(mean_or_zero(squared_position_error(error, Z))),
-        "nees": mean_or_zero(nees(error, information)),
+        "rmse_m": None if square_m2 is None else math.sqrt(square_m2),
+        "nees": mean_or_none(nees(error, information)),
         **dict.fromkeys(("rmse_seen_m", "rmse_unseen_m", "nees_seen", "nees_unseen")),
         "objective": score if objective == "gospa" else None,
         "contacts": int(trace["contacts"][steps - 1]) if "contacts" in trace else None,

@@ -85,6 +85,11 @@ def mean_or_zero(values: Float[np.ndarray, "*m"] | Bool[np.ndarray, "*m"]) -> fl
     return float(values.sum() / max(1, values.size))
 
 
+def mean_or_none(values: Float[np.ndarray, "*m"]) -> float | None:
+    """Mean; None for an empty array."""
+    return mean_or_zero(values) if values.size else None
+
+
 def mean_log_det(log_det: Float[np.ndarray, "*m n"], present: Bool[np.ndarray, "*m n"]) -> Float[np.ndarray, "*m"]:
     """Mean log det of the information of the targets present [nat], the score so far; NaN without targets."""
     count = present.sum(axis=-1)

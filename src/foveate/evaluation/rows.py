@@ -33,7 +33,7 @@ class Row(Recorded):
 
     With detections without ids, `score` is minus `gospa`, the mean GOSPA over the steps [m], whose parts are means too;
     errors and `nees` are those of confirmed tracks, each against the target that GOSPA pairs with it at the horizon,
-    and `dropped` counts detections and tracks for which there was no room. None with ids.
+    None where it pairs none, and `dropped` counts detections and tracks for which there was no room. None with ids.
 
     Of a team of `agents` robots the beliefs are those of one filter that hears every measurement at once.
     `worst_score` and `worst_objective` are the least that the own beliefs of any robot give, `members_nees` is the mean
@@ -52,8 +52,8 @@ class Row(Recorded):
     seen_step_fraction: float
     longest_unseen_s: float
     entropy: float | None
-    rmse_m: float
-    nees: float
+    rmse_m: float | None
+    nees: float | None
     rmse_seen_m: float | None
     rmse_unseen_m: float | None
     nees_seen: float | None

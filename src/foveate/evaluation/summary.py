@@ -39,7 +39,8 @@ class Summary(Recorded):
     `normalised_score`: the mean on a scale from the lower bound, never seeing anything (0), to the omniscient
     planner's score (1); None unless requested. `objective`: mean score by the objective of the experiment's training;
     None without one. `contacts`: mean number of steps that an obstacle has ended; None without obstacles.
-    GOSPA with its parts, and `dropped`: as in `Row`; None with ids.
+    GOSPA with its parts, and `dropped`: as in `Row`; None with ids. Without ids errors and NEES are means over the
+    episodes with a confirmed track near a target, None without any.
     `agents`: robots of the team, `worst_..` and `members_nees`: means of the same fields of rows; None of one robot.
     """
 
@@ -53,10 +54,10 @@ class Summary(Recorded):
     seen_fraction: float
     seen_step_fraction: float
     longest_unseen_s: float
-    rmse_m: float
+    rmse_m: float | None
     rmse_seen_m: float | None
     rmse_unseen_m: float | None
-    nees: float
+    nees: float | None
     nees_band: Band
     nees_seen: float | None
     nees_seen_band: Band | None

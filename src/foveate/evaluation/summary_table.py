@@ -21,7 +21,7 @@ def plus_minus(mean: float, interval: tuple[float, float] | None, sign: str = ""
 
 
 def _nees(cell: Summary) -> str:
-    return f"{cell.nees:.1f} ({cell.nees_band[0]:.1f}-{cell.nees_band[1]:.1f})"
+    return f"{number(cell.nees, 1)} ({cell.nees_band[0]:.1f}-{cell.nees_band[1]:.1f})"
 
 
 COLUMNS: dict[str, Callable[[Summary], str]] = {
@@ -84,7 +84,7 @@ def summary_table(title: str, summary: Sequence[Summary], objective: Objective |
     shown = {
         "protocol": len({cell.protocol for cell in summary}) > 1,
         "motion": len({cell.motion for cell in summary}) > 1,
-        "objective": objective not in (None, "terminal", "gospa"),
+        "objective": objective not in (None, "terminal", "gospa") and not has_gospa,
         "normalised": any(cell.normalised_score is not None for cell in summary),
         "contacts": any(cell.contacts is not None for cell in summary),
         **dict.fromkeys(("GOSPA [m]", "errors", "missed", "false"), has_gospa),

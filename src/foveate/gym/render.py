@@ -1,13 +1,18 @@
 """Pictures of a Gymnasium environment's running episode, as `foveate render` draws them."""
 
+from dataclasses import replace
 from typing import Any
 
+import jax
 import numpy as np
 
+from foveate.models.detections.records import Population
 from foveate.models.problem import Problem, first_information
 from foveate.plotting.animation import picture
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, state_data
+from foveate.plotting.track_data import track_data
 from foveate.simulation.batch import Batch
+from foveate.simulation.scans import begin
 
 
 class Screen:
@@ -27,8 +32,15 @@ class Screen:
             self._problem = self._problem.of_map(episode.map_number[0])
         self._horizon = int(episode.horizon[0])
         self._truth = None if episode.truth is None else np.asarray(episode.truth.state[0], float)
+        self._alive = None if episode.scans is None else np.asarray(episode.scans.alive[0])
+        self._instants: list[list[np.ndarray]] = []
+        if self._alive is not None:
+            population = begin(self._problem, jax.tree.map(lambda x: x[0], episode))
+            self._columns = np.arange(self._alive.shape[1])
+            self._append_tracks(episode.pose[0], population, np.zeros_like(self._alive[0]))
+            return
         present = np.asarray(episode.present[0] if episode.arrivals is None else episode.arrivals.present[0, 0])
-        self._columns, self._instants = np.flatnonzero(episode.present[0]), []
+        self._columns = np.flatnonzero(episode.present[0])
         information = first_information(self._problem, len(present))
         self._append(episode.pose[0], episode.mean[0], information, present, np.zeros_like(present))
 
@@ -36,6 +48,9 @@ class Screen:
         """Add the state after the last step."""
         assert batch.transition is not None, "the batch has stepped"
         state, visible = batch.transition.state, batch.transition.visible
+        if state.population is not None:
+            self._append_tracks(state.pose[0], jax.tree.map(lambda x: x[0], state.population), visible[0])
+            return
         self._append(state.pose[0], state.mean[0], state.information[0, -1], state.present[0], visible[0])
 
     def picture(self) -> np.ndarray:
@@ -57,6 +72,8 @@ class Screen:
         """Data of the whole episode; future instants repeat the last one, so that frame and axes stay in place."""
         instants = self._instants + self._instants[-1:] * (self._horizon + 1 - len(self._instants))
         pose, *columns = (np.stack(values) for values in zip(*instants, strict=True))
+        if self._alive is not None:
+            return self._data_of_tracks(self._alive[: self._horizon + 1], pose, *columns)
         mean, information, present, visible = (values[:, self._columns] for values in columns)
         return state_data(
             self._problem,
@@ -69,6 +86,31 @@ class Screen:
             # Without truth targets are drawn at their estimates.
             truth=mean if self._truth is None else self._truth[: self._horizon + 1, self._columns],
         )
+
+    def _data_of_tracks(self, alive, pose, mean, information, existence, visible, undetected) -> EpisodeData:
+        """The same of detections without ids; GOSPA is that of the steps so far."""
+        assert self._truth is not None, "episodes with scans have it"
+        truth = self._truth[: self._horizon + 1]
+        so_far = slice(max(2, len(self._instants)))
+        parts = {"existence": existence, "mean": mean, "truth": truth, "alive": alive, "undetected": undetected}
+        gospa_m = track_data(self._problem, **{name: values[so_far] for name, values in parts.items()}).gospa_m
+        return state_data(
+            self._problem,
+            pose=pose,
+            mean=mean,
+            information=information,
+            log_det=np.linalg.slogdet(information[1:])[1],
+            visible=visible[1:],
+            present=alive,
+            truth=truth,
+            tracks=replace(track_data(self._problem, **parts), gospa_m=gospa_m),
+        )
+
+    def _append_tracks(self, pose: Any, population: Population, visible: Any) -> None:
+        """Append the tracks of detections without ids, and the map of undetected targets."""
+        tracks = population.tracks
+        information = np.linalg.inv(np.asarray(tracks.covariance, float))
+        self._append(pose, tracks.mean, information, tracks.existence, visible, population.undetected)
 
     def _append(self, *instant: Any) -> None:
         """Append pose, mean, information, presence and visibility; show them in the window, if any."""

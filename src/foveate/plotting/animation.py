@@ -23,6 +23,7 @@ from foveate.io.files import write_atomic
 from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData, axis_range
 from foveate.plotting.scene import SEEN, PlanarScene, broken, describe, legend_entries
 from foveate.plotting.scene_spatial import scene_class
+from foveate.plotting.undetected import draw_counts
 
 DPI = 100
 COLORS = 128
@@ -34,7 +35,8 @@ def animate(data: EpisodeData, path: Path | str, fps: int = 10, size: tuple[int,
     """Write an episode as a `.gif` that loops, as `.mp4` (through ffmpeg), or its last moment as `.png`.
 
     Left, the scene: agent, path, view, targets with tracks, estimates with 95 % ellipses or ellipsoids; right, log det
-    of each target's information after every step, a dot where it was measured, and the mean. Up to three frames a
+    of each target's information after every step, a dot where it was measured, and the mean; of detections without ids
+    the numbers of targets, of confirmed tracks, and of targets as the filter expects them. Up to three frames a
     step, at most 150 in all, or 100 in space: a long episode skips instants. `size` is in pixels, even numbers. Raises
     InputError for another ending, a bad size or `fps`, and for `.mp4` where ffmpeg is missing or fails.
     """
@@ -114,7 +116,7 @@ def _scene(figure: Figure, data: EpisodeData, size: tuple[int, int]) -> tuple[li
     title.set_fontsize(11 * min(1.0, (width - 28) / title.get_window_extent().width))
     behind = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # low: the frame below stays whole
     clock = figure.text(56 / width, (bottom + high + 7) / height, "", fontsize=10, bbox=behind)
-    lines, show_curves = _curves(curves, data)
+    lines, show_curves = _curves(curves, data) if data.tracks is None else draw_counts(curves, data)
     start = _make_room(figure, ground if kind is PlanarScene else None, curves, place)
     curves.set_position(tuple((start, bottom, width - start - 14, high) / unit))
     style = {"frameon": False, "handletextpad": 0.5, "columnspacing": 1.2, "borderpad": 0}

@@ -1,19 +1,21 @@
 """Episode data: one episode as numpy arrays to draw, with positions only and without padding."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import Suite, evaluate_traces
 from foveate.evaluation.metrics import mean_log_det, mean_or_zero
 from foveate.geometry.distance_grid import Nodes
-from foveate.geometry.numpy_poses import arc, positions
+from foveate.geometry.numpy_poses import arc
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
+from foveate.plotting.track_data import TrackData, intensities, track_data
 from foveate.plotting.walls import walls_of
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
 
@@ -30,19 +32,20 @@ class EpisodeData:
 
     `pose` is as in `space`, `truth` and `estimate` are positions, `covariance` that of the estimated position;
     `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false, the other entries of a target mean
-    nothing. `outline`: the view's border(s) in the body frame; `walls`: distances to obstacles; `mates`: poses of
-    further robots; `heard`: whom each robot (rows) has heard. A *moment* counts SUBSTEPS to a step from the start.
+    nothing. There is a belief a target, b = n, unless beliefs are `tracks` of detections without ids. `outline`: the
+    view's border(s) in the body frame; `walls`: distances to obstacles; `mates`: poses of further robots; `heard`: whom
+    each robot (rows) has heard. A *moment* counts SUBSTEPS to a step from the start.
     """
 
     title: str
     space: Space
     visible: Bool[np.ndarray, "steps n"]
-    log_det: Float[np.ndarray, "steps n"]
+    log_det: Float[np.ndarray, "steps b"]
     times_s: Float[np.ndarray, " instants"]
     pose: Float[np.ndarray, "instants ..."]
     truth: Float[np.ndarray, "instants n d"]
-    estimate: Float[np.ndarray, "instants n d"]
-    covariance: Float[np.ndarray, "instants n d d"]
+    estimate: Float[np.ndarray, "instants b d"]
+    covariance: Float[np.ndarray, "instants b d d"]
     present: Bool[np.ndarray, "instants n"]
     outline: tuple[Float[np.ndarray, "_ d"], ...]
     region: Float[np.ndarray, "2 d"] | None = None
@@ -50,6 +53,7 @@ class EpisodeData:
     walls: Nodes | None = None
     mates: Float[np.ndarray, "instants mates ..."] | None = None
     heard: Bool[np.ndarray, "steps M M"] | None = None
+    tracks: TrackData | None = None
 
     def __post_init__(self) -> None:
         if len(self.times_s) != self.steps + 1:
@@ -71,19 +75,25 @@ class EpisodeData:
         return self.present[1:] & self.present[:-1]
 
     @property
-    def log_det_present(self) -> Float[np.ndarray, "steps n"]:
-        """log det of each target's information after each step [nat], NaN where it is absent."""
-        return np.where(self.present[1:], self.log_det, np.nan)
+    def believed(self) -> Bool[np.ndarray, "instants b"]:
+        """Beliefs to show: those of the targets present, or the tracks that a policy is told of."""
+        return self.present if self.tracks is None else self.tracks.existence > self.tracks.tell
+
+    @property
+    def log_det_present(self) -> Float[np.ndarray, "steps b"]:
+        """log det of the information of each belief after each step [nat], NaN where there is none."""
+        return np.where(self.believed[1:], self.log_det, np.nan)
 
     @property
     def mean_log_det(self) -> Float[np.ndarray, " steps"]:
         """Score so far after each step [nat per target], NaN where no target is present."""
-        return mean_log_det(self.log_det, self.present[1:])
+        return mean_log_det(self.log_det, self.believed[1:])
 
     @property
     def score(self) -> float | None:
-        """Mean log det Y_K of the targets present at the end [nat per target], None without any."""
-        return float(self.mean_log_det[-1]) if self.steps and self.present[-1].any() else None
+        """Mean log det Y_K of the targets present at the end [nat per target], None without any or without ids."""
+        has_score = self.tracks is None and self.steps and self.present[-1].any()
+        return float(self.mean_log_det[-1]) if has_score else None
 
     @property
     def seen_share(self) -> float:
@@ -120,71 +130,24 @@ def axis_range(values: Float[np.ndarray, "*m"]) -> tuple[float, float]:
     return low - pad, high + pad
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Snapshot:
-    """State of an episode at one moment [m]: the agent, its path, and the h targets that are present.
-
-    `tracks` and `tracked` (false where a target was absent) are those of ALL targets so far.
-    """
-
-    pose: Float[np.ndarray, "..."]
-    path: Float[np.ndarray, "moments d"]
-    tracks: Float[np.ndarray, "instants n d"]
-    tracked: Bool[np.ndarray, "instants n"]
-    truth: Float[np.ndarray, "h d"]
-    estimate: Float[np.ndarray, "h d"]
-    covariance: Float[np.ndarray, "h d d"]
-    seen: Bool[np.ndarray, " h"]
-    columns: Int[np.ndarray, " h"]
-    """Column of each target that is present: with the number of the column, 1 for the first, it is named."""
-
-
-def snapshot(
-    data: EpisodeData, arc: Float[np.ndarray, "moments ..."], moment: int, trail: int | None = None
-) -> Snapshot:
-    """Snapshot of an episode at a moment. `arc` is `data.arc()`; tracks reach `trail` steps back, None for all.
-
-    Between two instants the agent follows its arc, positions are interpolated linearly, and beliefs keep covariance and
-    colour until the next measurement.
-    """
-    k, part = divmod(moment, SUBSTEPS)
-    later, first = min(k + 1, data.steps), 0 if trail is None else max(0, k - trail)
-    # A target that leaves within the step stays in place: the next position is that of another target, or of none.
-    present, stays = data.present[k], data.present[k] & data.present[later]
-
-    def between(values: np.ndarray) -> np.ndarray:
-        return values[k] + part / SUBSTEPS * stays[:, None] * (values[later] - values[k])
-
-    truth = between(data.truth)
-    return Snapshot(
-        pose=arc[moment],
-        path=positions(arc[first * SUBSTEPS : moment + 1]),
-        tracks=np.concatenate([data.truth[first : k + 1], truth[None]]),
-        tracked=np.concatenate([data.present[first : k + 1], present[None]]),
-        truth=truth[present],
-        estimate=between(data.estimate)[present],
-        covariance=data.covariance[k][present],
-        seen=data.seen_at(k)[present],
-        columns=np.flatnonzero(present),
-    )
-
-
 def state_data(
     problem: Problem,
     *,
     pose: Float[np.ndarray, "instants ..."],
-    mean: Float[np.ndarray, "instants n n_y"],
-    information: Float[np.ndarray, "instants n n_y n_y"],
-    log_det: Float[np.ndarray, "steps n"],
+    mean: Float[np.ndarray, "instants b n_y"],
+    information: Float[np.ndarray, "instants b n_y n_y"],
+    log_det: Float[np.ndarray, "steps b"],
     visible: Bool[np.ndarray, "steps n"],
     present: Bool[np.ndarray, "instants n"],
     truth: Float[np.ndarray, "instants n n_y"],
     title: str = "",
+    tracks: TrackData | None = None,
 ) -> EpisodeData:
     """Episode data of poses, beliefs and true states without padding."""
     Z = np.asarray(problem.motion.Z, float)
     # The information matrix of an absent target means nothing, and may be singular.
-    information = np.where(present[..., None, None], information, np.eye(Z.shape[1]))
+    exists = present if tracks is None else tracks.existence > 0
+    information = np.where(exists[..., None, None], information, np.eye(Z.shape[1]))
     outline = problem.sensor.view.outline()
     return EpisodeData(
         title=title,
@@ -200,6 +163,7 @@ def state_data(
         outline=tuple(np.asarray(line, float) for line in ([outline] if isinstance(outline, np.ndarray) else outline)),
         region=None if problem.region is None else np.array([problem.region.low, problem.region.high], float),
         walls=walls_of(problem),
+        tracks=tracks,
     )
 
 
@@ -210,19 +174,37 @@ def episode_data(
     horizon: int,
     targets: int,
     title: str = "",
+    alive: Bool[np.ndarray, "instants columns"] | None = None,
+    undetected: Float[np.ndarray, "instants *cells"] | None = None,
 ) -> EpisodeData:
-    """Episode data of the first `horizon` steps and the first `targets` columns of ONE trace and its true states."""
+    """Episode data of the first `horizon` steps and the first `targets` columns of ONE trace and its true states.
+
+    Of detections without ids: `alive` targets, and the intensity of `undetected` ones at every instant, all columns.
+    """
+    tracks = None
+    if alive is not None:
+        targets, until = truth_state.shape[1], slice(horizon + 1)
+        tracks = track_data(
+            problem,
+            existence=np.asarray(trace.existence, float)[until],
+            mean=np.asarray(trace.mean, float)[until],
+            truth=np.asarray(truth_state, float)[until],
+            alive=alive[until],
+            undetected=None if undetected is None else undetected[until],
+        )
     steps, instants = (slice(horizon), slice(targets)), (slice(horizon + 1), slice(targets))
+    beliefs = targets if tracks is None else tracks.existence.shape[1]
     data = state_data(
         problem,
         pose=np.asarray(trace.pose, float)[: horizon + 1],
-        mean=np.asarray(trace.mean, float)[instants],
-        information=np.asarray(trace.information, float)[instants],
-        log_det=np.asarray(trace.log_det, float)[steps],
+        mean=np.asarray(trace.mean, float)[: horizon + 1, :beliefs],
+        information=np.asarray(trace.information, float)[: horizon + 1, :beliefs],
+        log_det=np.asarray(trace.log_det, float)[:horizon, :beliefs],
         visible=np.asarray(trace.visible)[steps],
-        present=np.asarray(trace.present)[instants],
+        present=np.asarray(trace.present if alive is None else alive)[instants],
         truth=np.asarray(truth_state, float)[instants],
         title=title,
+        tracks=tracks,
     )
     if trace.team is None:
         return data
@@ -246,5 +228,9 @@ def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[E
         truth = np.asarray(suite.truth.state[i])
         title = f"{name} on {scene.id}" + ", soft view of the paper" * (protocol == "surrogate")
         problem = suite.problem if suite.problem.obstacles is None else suite.problem.of_map(jnp.asarray(scene.map))
-        data.append(episode_data(problem, trace, truth, scene.horizon, len(scene.targets), title))
+        scans: dict[str, Any] = {}
+        if suite.episodes.scans is not None:
+            episode = jax.tree.map(lambda x, i=i: x[i], suite.episodes)
+            scans = {"alive": np.asarray(episode.scans.alive), "undetected": intensities(problem, episode, trace)}
+        data.append(episode_data(problem, trace, truth, scene.horizon, len(scene.targets), title, **scans))
     return data

@@ -27,7 +27,8 @@ def replay_figure(
 
     Left, the map (in space: from above and from the side): every target's track in grey, in colour while it was seen,
     and the agent's path, which begins at the triangle. Right, the timeline: a row for each slot, which holds one target
-    after another, light while one is present, dark while it is seen; below it each method's share of target time seen.
+    after another, light while one is present, dark while it is seen; below it the share of target time that each method
+    has seen, or its mean GOSPA of detections without ids.
 
     Args:
         episodes: Episode data of each method, by its name.
@@ -121,12 +122,16 @@ def _timeline(axes: Axes, data: EpisodeData, name: str) -> None:
 
 
 def _shares(axes: Axes, episodes: Mapping[str, EpisodeData]) -> None:
-    """Draw each method's share of target time seen."""
-    values = [100 * data.seen_share for data in episodes.values()]
+    """Draw each method's share of target time seen; of detections without ids its mean GOSPA."""
+    tracks = [data.tracks for data in episodes.values() if data.tracks is not None]
+    title, form = (
+        ("mean GOSPA [m], less is better", "{:.2f}") if tracks else ("share of target time in view", "{:.1f} %")
+    )
+    values = [each.gospa_m for each in tracks] or [100 * data.seen_share for data in episodes.values()]
     bars = axes.barh(
         [drawable(name) for name in episodes], values, color=[SEEN, *[GREY] * (len(episodes) - 1)], height=0.65
     )
-    axes.bar_label(bars, [f"{value:.1f} %" for value in values], fontsize=8.5, padding=3)
+    axes.bar_label(bars, [form.format(value) for value in values], fontsize=8.5, padding=3)
     axes.set_xlim(0, max(1.0, 1.18 * max(values)))
     axes.invert_yaxis()
     clean(axes, 8.5)
@@ -134,4 +139,4 @@ def _shares(axes: Axes, episodes: Mapping[str, EpisodeData]) -> None:
     axes.tick_params(labelcolor=BLACK, length=0)
     for side in ("top", "right", "bottom"):
         axes.spines[side].set_visible(False)
-    axes.set_title("share of target time in view", loc="left", **TITLE)
+    axes.set_title(title, loc="left", **TITLE)

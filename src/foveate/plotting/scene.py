@@ -13,13 +13,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
 from foveate.geometry.numpy_poses import placed
-from foveate.io.figures import BLACK, BLUE, GREEN, GREY, SKY, VERMILLION, clean
+from foveate.io.figures import BLACK, BLUE, GREEN, GREY, PURPLE, SKY, VERMILLION, clean
 from foveate.plotting.ellipsoids import box_lines, ellipses, half_widths
-from foveate.plotting.episode_data import EpisodeData, snapshot
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.mates import Mates
+from foveate.plotting.snapshot import snapshot
+from foveate.plotting.undetected import DARKEST, UndetectedMap
 from foveate.plotting.walls import draw, lit
 
 SEEN, UNSEEN, AGENT, BORDER = GREEN, VERMILLION, BLUE, BLACK
+BELIEFS = "belief (95 %), detected", "belief (95 %), not detected"
+"""Names of the two kinds of beliefs in legends."""
 DASHED = (0, (3, 2))
 """Style of lines around unseen targets."""
 KITE = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.4, 0.0], [-0.8, -0.65]])
@@ -38,7 +42,7 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
         poses = data.pose if data.mates is None else np.concatenate([data.pose[:, None], data.mates], axis=1)
         core += [placed(pose, line) for pose in poses.reshape(-1, *data.pose.shape[1:]) for line in data.outline]
         for part, beliefs in ((slice(1), first), (slice(1, None), later)):
-            shown = data.present[part]
+            shown = data.believed[part]
             beliefs.append(ellipses(data.estimate[part][shown], data.covariance[part][shown]).reshape(-1, 2))
     points = np.concatenate(core)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -119,6 +123,8 @@ class PlanarScene:
             # What obstacles hide of the view is its dotted rest.
             dotted: dict[str, Any] = {"facecolor": "none", "edgecolor": own, "lw": 0.6 * scale, "ls": (0, (1, 2))}
             self.whole = [Polygon(blank, zorder=1, **dotted) for _ in data.outline]
+        has_map = data.tracks is not None and data.tracks.undetected is not None
+        self.map = UndetectedMap(axes, data.tracks) if has_map and data.tracks is not None else None
         self.path = line(own, lw=1.4 * scale, zorder=2)
         self.trails = line(GREY, lw=0.9 * scale, zorder=2)
         dashed: dict[str, Any] = {"linewidth": 1.0 * scale, "linestyle": DASHED}
@@ -141,7 +147,8 @@ class PlanarScene:
         """Moving artists, in drawing order."""
         beliefs = (self.unseen, self.unseen_means, self.seen, self.seen_means)
         mates = [] if self.mates is None else self.mates.artists
-        return [*mates, *self.whole, *self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
+        below = [] if self.map is None else [self.map.image]
+        return [*below, *mates, *self.whole, *self.views, self.path, self.trails, *beliefs, self.targets, self.agent]
 
     def show(self, moment: int) -> None:
         """Move to a moment of the episode."""
@@ -157,10 +164,14 @@ class PlanarScene:
         if self.mates is not None:
             self.mates.show(state.pose, moment)
         self.targets.set_data(*state.truth.T)
+        if self.map is not None:
+            self.map.show(moment // SUBSTEPS)
         groups = (self.seen, self.seen_means, state.seen), (self.unseen, self.unseen_means, ~state.seen)
-        for (areas, means, which), fill in zip(groups, self.colors, strict=True):
+        for (areas, means, which), fill, edge in zip(groups, self.colors, (SEEN, UNSEEN), strict=True):
             areas.set_verts(list(ellipses(state.estimate[which], state.covariance[which])))
             areas.set_facecolor(fills(fill, state.covariance[which], self.side))
+            if self.data.tracks is not None:  # the likelier, the darker its border
+                areas.set_edgecolor([to_rgba(edge, each) for each in state.existence[which]] or [edge])
             means.set_data(*state.estimate[which].T)
 
     def label(self, size: float, x: bool = True, y: bool = True) -> None:
@@ -187,12 +198,26 @@ def is_wide(covariance: Float[np.ndarray, "n d d"], side: float) -> Bool[np.ndar
 def legend_entries(episodes: Sequence[EpisodeData] = ()) -> list[Artist]:
     """Legend of the colours and symbols of scenes, with the border of their region if any has one."""
     bordered = any(data.region is not None for data in episodes)
+    tracks = [data.tracks for data in episodes if data.tracks is not None]
+    mapped = any(each.undetected is not None for each in tracks) and episodes[0].space.dimension == 2
+    seen, unseen = ("track (95 %), confirmed", "tentative") if tracks else BELIEFS
     return [
         Line2D([], [], color=AGENT, lw=1.5, label="agent path"),
         Patch(facecolor=SKY + "55", edgecolor=AGENT, lw=0.7, label="field of view"),
-        Line2D([], [], color=GREY, marker="s", ms=4, mfc=BLACK, mec=BLACK, lw=0.9, label="target track"),
-        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label="belief (95 %), detected"),
-        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=DASHED, label="belief (95 %), not detected"),
+        Line2D(
+            [],
+            [],
+            color=GREY,
+            marker="s",
+            ms=4,
+            mfc=BLACK,
+            mec=BLACK,
+            lw=0.9,
+            label="target" if tracks else "target track",
+        ),
+        Patch(facecolor=SEEN + "40", edgecolor=SEEN, lw=1.3, label=seen),
+        Patch(facecolor=UNSEEN + "22", edgecolor=UNSEEN, ls=DASHED, label=unseen),
+        *[Patch(facecolor=to_rgba(PURPLE, DARKEST), label="undetected")] * mapped,
         *[Line2D([], [], color=BORDER, lw=1.2, label="region")] * bordered,
         *[Line2D([], [], color=GREY, lw=0.9, label="heard")] * any(data.mates is not None for data in episodes),
     ]
@@ -202,7 +227,9 @@ def describe(data: EpisodeData) -> str:
     """Title, number of targets, and score; where targets come and go, the share of time seen instead."""
     most = int(data.present.sum(axis=1).max())
     count = f"{most or 'no'} target{'s' * (most != 1)}"
-    if not data.present.all():
+    if data.tracks is not None:
+        facts = [f"up to {count} at once", f"GOSPA {data.tracks.gospa_m:.2f} m"]
+    elif not data.present.all():
         facts = [f"up to {count} at once", f"in view {data.seen_share:.1%} of their time"]
     else:
         facts = [count] if data.score is None else [count, f"score {data.score:.2f}"]

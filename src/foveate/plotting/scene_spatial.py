@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from foveate.geometry.numpy_poses import placed, positions
 from foveate.io.figures import BLACK, GREY, SKY
 from foveate.plotting.ellipsoids import box_lines, contours, faces, half_widths, lifted, meridians
-from foveate.plotting.episode_data import EpisodeData, snapshot
+from foveate.plotting.episode_data import EpisodeData
 from foveate.plotting.scene import (
     AGENT,
     BORDER,
@@ -27,6 +27,7 @@ from foveate.plotting.scene import (
     is_wide,
     with_regions,
 )
+from foveate.plotting.snapshot import snapshot
 from foveate.plotting.walls import WALL, loops
 
 DART = np.array([[1.1, 0, 0], [-0.8, 0.65, 0], [-0.8, -0.65, 0], [-0.8, 0, 0.5]])
@@ -51,7 +52,7 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
     for data in episodes:
         core += [data.truth[data.present], positions(data.pose)]
         soft += [placed(pose, line) for pose in data.pose for line in data.outline]
-        mean, covariance = data.estimate[data.present], data.covariance[data.present]
+        mean, covariance = data.estimate[data.believed], data.covariance[data.believed]
         width = half_widths(covariance)
         soft += [mean - width * [1, 1, 0], mean + width]
     points, more = np.concatenate(core), np.concatenate([*core, *soft])

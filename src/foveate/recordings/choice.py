@@ -7,7 +7,7 @@ import numpy as np
 
 from foveate.experiment.resolve import Subject
 from foveate.io.progress import logger
-from foveate.recordings.replay import ReplayRow
+from foveate.recordings.measures import ReplayRow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ def best_of(
         Candidate(
             run=name,
             seen_time_fraction=float(np.mean([row.seen_time_fraction for row in ours])),
-            log_det_mean=float(np.mean([row.log_det_mean for row in ours])),
+            log_det_mean=float(np.mean(np.array([row.log_det_mean for row in ours], float))),
         )
         for name, ours in rows.items()
     )

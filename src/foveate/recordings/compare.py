@@ -21,13 +21,15 @@ from foveate.recordings import replay as replays
 from foveate.recordings.choice import Candidate, best_of
 from foveate.recordings.formats import AnyPath, load_window
 from foveate.recordings.maps import under, warnings_of
+from foveate.recordings.measures import PreparedReplay, ReplayRow
 from foveate.recordings.methods import method_in, replay_methods
 from foveate.recordings.motion import default_max_gap_s
-from foveate.recordings.outliers import clean, lines_of
+from foveate.recordings.outliers import prepared
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording, moved
-from foveate.recordings.replay import PreparedReplay, ReplayRow, prepare_replay
+from foveate.recordings.replay import prepare_replay
 from foveate.recordings.replay_table import replay_table
+from foveate.recordings.scans import detecting, outside
 from foveate.recordings.split import Shares, parsed_split, part_of, span_of
 from foveate.recordings.starts import agent_starts
 from foveate.scenario.scenario import Scenario
@@ -106,41 +108,41 @@ def replay(
     max_gap: float | None = None,
     max_speed: float | None = None,
     gate: float | None = GATE,
+    detection_probability: float | None = None,
+    clutter: float | None = None,
     map: str | Path | None = None,
     seed: int = 0,
     scenario: Scenario | None = None,
     progress: bool = True,
 ) -> ReplayResult:
-    """Drive a policy, and heuristics beside it, through a recording of real targets, all with the same noise.
-
-    Lines that begin with "warning:", and what the reader of the recording took for granted, go to standard error.
+    """Drive a policy, and heuristics beside it, through a recording of real targets; warnings go to standard error.
 
     Args:
         policy: as for `foveate.evaluate`.
         recording: files with the header time_s,track_id,x_m,y_m[,z_m], or what `foveate.load_recording` reads.
-        method: as for `foveate.evaluate`; also planners in receding horizon: "icr" as published, "icr-4" from 4
-            starts, "refine-15" from the policy's actions by 15 steps of ascent.
+        method: as for `foveate.evaluate`; also planners: "icr" as published, "icr-4", "refine-15" (from the policy).
         start: first time to replay [s].
         end: last time to replay [s].
         split: shares of that time to train on, to choose on and to judge on, as "60,20,20".
         part: part of the split to replay: "train", "choose" or "judge".
         candidates: further policies; the best of all on the part to choose on is replayed on the part to judge on.
-        agent_start: pose to start from [m, rad], as numbers, on the recording's map if that is in metres; by default
-            the middle of the recording.
+        agent_start: pose to start from [m, rad], on the recording's map if that is in metres; by default its middle.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
-        max_speed: fastest that a target can move [m/s]: a step above is a jump, where its track is cut, or a wrong fix,
-            which is left out; by default steps far above those of the track; infinity keeps all.
+        max_speed: fastest that a target can move [m/s], by default far above its usual steps; infinity keeps all.
         gate: probability of the filter's chi-square gate; None accepts every measurement.
-        map: the YAML file of the robot's map (ROS's map_server), in the recording's frame: the robot keeps out of its
-            walls, and nobody sees through them. By default the scenario's own obstacles, unless they are random.
+        detection_probability: of a target in the view; with it or `clutter` detections have no ids.
+        clutter: expected number of false alarms a step, uniform in the view.
+        map: YAML file of the robot's map (ROS's map_server), in the recording's frame: walls stop the robot and hide
+            targets. By default the scenario's own obstacles, unless they are random.
         seed: of the noise and of random starts.
         scenario: replaces the one that the policy was trained for.
         progress: show a bar.
     """
     subjects = [subject_of(each, scenario) for each in (policy, *candidates)]
-    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, gate, map, seed, not progress)
-    return _judged(subjects, load_window(recording, start, end), replay_methods(method), given)
+    numbers = gate, detection_probability, clutter, map, seed
+    given = _Given(start, end, split, part, agent_start, starts, max_gap, max_speed, *numbers, not progress)
+    return _judged(subjects, load_window(recording, start, end), method, given)
 
 
 class _Given(NamedTuple):
@@ -155,17 +157,27 @@ class _Given(NamedTuple):
     max_gap: float | None
     max_speed: float | None
     gate: float | None
+    detection_probability: float | None
+    clutter: float | None
     map: str | Path | None
     seed: int
     quiet: bool
 
 
-def _judged(subjects: Sequence[Subject], recording: Recording, methods: Sequence[str], given: _Given) -> ReplayResult:
+def _judged(
+    subjects: Sequence[Subject], recording: Recording, method: str | Sequence[str], given: _Given
+) -> ReplayResult:
     """Replay the only subject, or the best of several on the part to choose on."""
+    has_ids = (
+        subjects[0].experiment.scenario.detections is None and given.detection_probability is given.clutter is None
+    )
+    methods = replay_methods(method, has_ids)
     if len(subjects) == 1:
         return _replayed(subjects[0], recording, methods, given)
     if given.split is None or given.part != "judge":
         raise InputError("candidates: expected a split, on whose middle part they are compared, and part judge")
+    if not has_ids:
+        raise InputError("candidates: expected none with detections without ids: choose by GOSPA of a replay of each")
     choosing = given._replace(part="choose")
     compared = {each.name: _replayed(each, recording, ["policy"], choosing).rows for each in subjects}
     best, candidates = best_of(subjects, compared)
@@ -192,31 +204,31 @@ def _replayed(subject: Subject, recording: Recording, methods: Sequence[str], gi
         part=None if shares is None else given.part,
         map=None if given.map is None else str(given.map),
     )
-    return _run(subject, methods, used, settings, warnings, given.quiet)
-
-
-def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
-    """The recording without jumps and wrong fixes, which its notes name."""
-    cleaned = clean(recording, max_speed_m_s)
-    return replace(cleaned.recording, notes=(*recording.notes, *lines_of(cleaned.findings)))
+    numbers = given.detection_probability, given.clutter
+    acting = detecting(scenario, used, settings.max_gap_s, given.gate, *numbers)
+    return _run(subject, acting, methods, used, settings, warnings, given.quiet)
 
 
 def _run(
-    subject: Subject,
+    trained: Subject,
+    scenario: Scenario,
     methods: Sequence[str],
     part: Recording,
     settings: ReplaySettings,
     doubts: Sequence[str],
     quiet: bool,
 ) -> ReplayResult:
-    scenario, box_world = subject.experiment.scenario, jnp.asarray(np.stack(part.extent), float)
+    """Replay in a scenario: that of the subject's training, or the same with detections without ids."""
+    subject = replace(trained, experiment=replace(trained.experiment, scenario=scenario))
+    box_world = jnp.asarray(np.stack(part.extent), float)
     rows, traces, warnings, policies = [], {}, [], {}
     with Bar("replaying", len(settings.starts) * len(methods), "runs", quiet) as bar:
         for start in settings.starts:
             ready = prepare_replay(scenario, part, start, settings.max_gap_s, settings.seed, settings.gate)
             if not rows:  # the recording is the same from every start
-                found = warnings_for(scenario, part, ready.slots, settings.max_gap_s)
-                warnings = [*doubts, *other_period(subject), *found, *warnings_of(ready.inside, ready.slots)]
+                found = warnings_for(trained.experiment.scenario, part, ready.slots, settings.max_gap_s)
+                found += [*warnings_of(ready.inside, ready.slots), *outside(scenario, ready.slots)]
+                warnings = [*doubts, *other_period(subject), *found]
                 for line in (*part.notes, *(f"warning: {line}" for line in warnings)):
                     bar.say(line)
                 steps = len(ready.slots.times_s) - 1

@@ -7,24 +7,28 @@ from jaxtyping import Array, Float
 from foveate.errors import InputError
 from foveate.evaluation.plan import online_planner
 from foveate.experiment.resolve import Subject, methods_of
-from foveate.names import METHODS
+from foveate.names import METHODS, SEARCHERS
 from foveate.simulation.records import Policy
 
 PROTOCOL = "true"
 """Measurements of a recording are real ones: planners plan for these."""
 
 
-def replay_methods(method: str | Sequence[str]) -> tuple[str, ...]:
-    """Methods' names, each once; "all" are the policy and all heuristics. Raises InputError for an unknown name."""
+def replay_methods(method: str | Sequence[str], has_ids: bool = True) -> tuple[str, ...]:
+    """Methods' names, each once; "all" are the policy and all heuristics. Raises InputError for an unknown name.
+
+    Those that search are of detections without ids.
+    """
+    known = METHODS if has_ids else (*METHODS, *SEARCHERS)
     names: list[str] = []
     for name in [method] if isinstance(method, str) else method:
         if online_planner(name) is not None:
             names.append(name)
-        elif name in (*METHODS, "all"):
-            names += methods_of(name)
+        elif name in (*known, "all"):
+            names += methods_of(name, has_ids)
         else:
             planners = "or a planner: icr, icr-STARTS, refine-STEPS"
-            raise InputError(f"method {name!r}: expected one of {', '.join(METHODS)}, all, {planners}")
+            raise InputError(f"method {name!r}: expected one of {', '.join(known)}, all, {planners}")
     return tuple(dict.fromkeys(names))
 
 

@@ -214,3 +214,9 @@ def lines_of(findings: Sequence[Finding]) -> list[str]:
         if len(texts) > _NAMED:
             lines.append(f"and {len(texts) - _NAMED} more of this kind (--report lists all)")
     return lines
+
+
+def prepared(recording: Recording, max_speed_m_s: float | None) -> Recording:
+    """The recording without jumps and wrong fixes, which its notes name."""
+    cleaned = clean(recording, max_speed_m_s)
+    return replace(cleaned.recording, notes=(*recording.notes, *lines_of(cleaned.findings)))

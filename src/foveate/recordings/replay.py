@@ -1,7 +1,7 @@
 """Drive an agent through a recording: real targets that come and go, the real filter, and real visibility."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import jax
@@ -9,9 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.errors import InputError
-from foveate.evaluation import metrics
 from foveate.evaluation.evaluate import compiles_quickly, decision_time
-from foveate.evaluation.metrics import mean_or_zero
 from foveate.experiment.experiment import Experiment
 from foveate.io.jax_settings import compiled
 from foveate.io.provenance import provenance
@@ -21,10 +19,12 @@ from foveate.models.precision import warn_of_rounding
 from foveate.models.problem import Problem
 from foveate.names import GATE
 from foveate.recordings.maps import in_obstacles, require_dimension
+from foveate.recordings.measures import PreparedReplay, ReplayRow, measured
 from foveate.recordings.recording import Recording, Slots, resample
+from foveate.recordings.scans import with_scans
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import first_error, first_mean
-from foveate.simulation.records import TRUE, Arrivals, Episode, Policy, Protocol, Trace, Truth
+from foveate.simulation.records import TRUE, Arrivals, Episode, Policy, Trace, Truth
 from foveate.simulation.rollout import rollout
 
 MAX_ROUNDING = 0.05
@@ -34,60 +34,6 @@ VERSION = 1
 """Version of the files of replays."""
 
 _SIMULATE = {quick: compiled(rollout, quick) for quick in (False, True)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReplayRow:
-    """Measures of one method on one recording from one start.
-
-    `targets` counts tracks present for at least a step. `log_det_mean` [nat], `rmse_m` and `nees` are means over all
-    targets and steps; `*_seen` over tracks measured at least once, `*_unseen` over the others, null where there are
-    none. `nees_band` holds at least 95 % of such means if the filter's covariance is right: the steps of a track, which
-    are correlated, count as one. `seen_fraction` is the share of tracks measured at least once, `seen_time_fraction`
-    that of target-steps with a measurement, `longest_unseen_s` the longest time of any track without one. `lost` counts
-    tracks unseen at their end with an error above the depth of the view, `rejected` measurements outside the gate.
-    `contacts` counts the agent's steps that an obstacle has ended, and `in_obstacles` the instants of targets that are
-    inside of one, by the map; null without obstacles.
-    """
-
-    method: str
-    seed: int
-    agent_start: tuple[float, ...]
-    targets: int
-    log_det_mean: float
-    seen_fraction: float
-    seen_time_fraction: float
-    longest_unseen_s: float
-    rmse_m: float
-    nees: float
-    nees_band: tuple[float, float]
-    rmse_seen_m: float | None
-    rmse_unseen_m: float | None
-    nees_seen: float | None
-    nees_unseen: float | None
-    lost: int
-    rejected: int
-    step_time_s: float
-    contacts: int | None = None
-    in_obstacles: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class PreparedReplay:
-    """A recording with its noise, ready to replay: the same for every method. `truth` is (K+1, columns, n_y).
-
-    `inside`: instants at which a target is inside of an obstacle; None without obstacles.
-    """
-
-    protocol: Protocol
-    problem: Problem
-    slots: Slots
-    episode: Episode
-    truth: np.ndarray
-    inside: np.ndarray | None
-    depth_m: float
-    agent_start: tuple[float, ...]
-    seed: int
 
 
 def prepare_replay(
@@ -100,9 +46,9 @@ def prepare_replay(
 ) -> PreparedReplay:
     """Sample the recording at the scenario's control period and draw the noise of its measurements from `seed`.
 
-    The filter rejects measurements outside the chi-square `gate` of that probability (see `models.gate`). Raises
-    InputError where recording and scenario do not fit: dimensions, states without positions, a schedule, or positions
-    too far from the origin for float32.
+    The filter rejects measurements outside the chi-square `gate` of that probability (see `models.gate`); that of
+    detections without ids has its own. Raises InputError where recording and scenario do not fit: dimensions, states
+    without positions, a schedule, or positions too far from the origin for float32.
     """
     problem = scenario.problem()
     _check(scenario, problem, recording)
@@ -124,8 +70,11 @@ def prepare_replay(
         truth=Truth(state=state, measurement_noise=noise),
         arrivals=Arrivals(present=present, mean=means),
     )
+    protocol = TRUE._replace(gate=gate_limit(gate, problem.sensor.size))
+    if problem.detections is not None:  # its filter has the gate
+        episode, protocol = with_scans(problem, problem.detections, episode, seed), TRUE
     return PreparedReplay(
-        protocol=TRUE._replace(gate=gate_limit(gate, problem.sensor.size)),
+        protocol=protocol,
         problem=problem,
         slots=slots,
         episode=episode,
@@ -181,45 +130,7 @@ def drive(ready: PreparedReplay, method: str, policy: Policy) -> tuple[ReplayRow
     simulate = _SIMULATE[compiles_quickly(ready.problem, policy)]
     trace = simulate(ready.problem, policy, ready.episode, ready.protocol, jax.random.key(ready.seed))
     trace = jax.tree.map(np.asarray, trace)
-    return _row(ready, method, trace, decision_time(ready.problem, policy, ready.episode)), trace
-
-
-def _row(ready: PreparedReplay, method: str, trace: Trace, step_time_s: float) -> ReplayRow:
-    index, tau = ready.slots.track_index, float(ready.problem.tau)
-    # A step counts for tracks present before and after it: at its first instant a track has no belief to update.
-    counted = (index[1:] >= 0) & (index[1:] == index[:-1])
-    visible = trace.visible & counted
-    error = np.asarray(trace.mean, float)[1:] - ready.truth[1:]
-    square_m2 = metrics.squared_position_error(error, np.asarray(ready.problem.motion.Z, float))
-    nees = metrics.nees(error, np.asarray(trace.information, float)[1:])
-    lost, longest, lengths, seen = 0, 0.0, [], []
-    of_seen = np.zeros_like(counted)
-    for track in np.unique(index[1:][counted]):
-        steps, columns = np.nonzero(counted & (index[1:] == track))
-        looks = visible[steps, columns]
-        lengths.append(len(steps))
-        seen.append(looks.any())
-        of_seen[steps, columns] = seen[-1]
-        longest = max(longest, float(metrics.longest_run(~looks[:, None], np.full(len(looks), tau))[0]))
-        lost += bool(not looks[-1] and np.sqrt(square_m2[steps[-1], columns[-1]]) > ready.depth_m)
-    return ReplayRow(
-        method=method,
-        seed=ready.seed,
-        agent_start=ready.agent_start,
-        targets=len(lengths),
-        log_det_mean=mean_or_zero(np.asarray(trace.log_det, float)[counted]),
-        seen_fraction=mean_or_zero(np.array(seen, bool)),
-        seen_time_fraction=mean_or_zero(visible[counted]),
-        longest_unseen_s=longest,
-        # The steps of a track are correlated: tracks are the samples, weighted by their lengths.
-        nees_band=metrics.chi_square_band(ready.truth.shape[-1], metrics.effective_count(np.array(lengths))),
-        **metrics.error_measures(square_m2[counted], nees[counted], of_seen[counted]),
-        lost=lost,
-        rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
-        step_time_s=step_time_s,
-        contacts=None if trace.contacts is None else int(trace.contacts[-1]),
-        in_obstacles=None if ready.inside is None else int(ready.inside.sum()),
-    )
+    return measured(ready, method, trace, decision_time(ready.problem, policy, ready.episode)), trace
 
 
 def result(
@@ -227,4 +138,6 @@ def result(
 ) -> dict[str, Any]:
     """Content of a replay's JSON file: the rows, and their provenance."""
     inputs = {"experiment": digest(experiment), "recording_sha256": recording.sha256}
-    return {**provenance(), **inputs, **facts, "rows": [asdict(row) for row in rows]}
+    if experiment.scenario.detections is not None:
+        facts = {**facts, "detections": asdict(experiment.scenario.detections)}
+    return {**provenance(), **inputs, **facts, "rows": [row.record() for row in rows]}

@@ -4,11 +4,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from foveate.evaluation.statistics import mean_interval
+from foveate.evaluation.summary_table import plus_minus
 from foveate.io.grouping import group_by
 from foveate.io.tables import Table, counted
-from foveate.recordings.replay import ReplayRow
+from foveate.recordings.measures import ReplayRow
 
+GOSPA = "GOSPA [m]"
 COLUMNS: dict[str, tuple[str, str]] = {
+    GOSPA: ("gospa", ".2f"),
+    "errors": ("gospa_localisation", ".2f"),
+    "missed": ("gospa_missed", ".2f"),
+    "false": ("gospa_false", ".2f"),
     "in view": ("seen_time_fraction", ".1%"),
     "detected": ("seen_fraction", ".0%"),
     "longest gap [s]": ("longest_unseen_s", ".1f"),
@@ -19,6 +26,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "NEES of undetected": ("nees_unseen", ".2f"),
     "lost": ("lost", ".1f"),
     "rejected": ("rejected", ".1f"),
+    "dropped": ("dropped", ".1f"),
     "contacts": ("contacts", ".1f"),
     "in obstacles": ("in_obstacles", ".1f"),
 }
@@ -28,6 +36,15 @@ NOTE = (
     "in view: share of all target-steps with a measurement. detected: tracks measured at least once. longest gap: the "
     "longest time without a measurement of any track. log det of the information, RMSE and NEES: means over tracks and "
     "steps. lost: tracks not in view at their end, with an error above the depth of the view."
+)
+WITHOUT_IDS = (GOSPA, "errors", "missed", "false", "dropped")
+"""Columns of detections without ids alone."""
+DETAILS_WITHOUT_IDS = ("longest gap [s]", "log det [nat]", "RMSE [m]", "NEES", "dropped")
+NOTE_WITHOUT_IDS = (
+    "GOSPA: of confirmed tracks, the mean over the steps, with its parts, and of several starts ± half of its 95 % "
+    "interval; less is better. in view: share of all target-steps with a detection. detected: targets detected at "
+    "least once. lost: targets not in view at their end, with no confirmed track within the depth of the view. log det "
+    "of the information, RMSE and NEES: of tracks that are paired with a target."
 )
 OF_OBSTACLES = ("contacts", "in obstacles")
 NOTE_OF_OBSTACLES = (
@@ -39,16 +56,24 @@ NOTE_OF_OBSTACLES = (
 def replay_table(recording: str, rows: Sequence[ReplayRow]) -> Table:
     """Means of each method over the starts, of the rows of a recording of this name."""
     by_method = group_by(rows, lambda row: row.method)
-    has_obstacles = rows[0].contacts is not None
-    shown = {name: column for name, column in COLUMNS.items() if has_obstacles or name not in OF_OBSTACLES}
-    lines = [
-        (method, *(_mean([getattr(row, name) for row in ours], form) for name, form in shown.values()))
-        for method, ours in by_method.items()
-    ]
+    has_ids, in_map = rows[0].gospa is None, rows[0].contacts is not None
+    left_out = {*(WITHOUT_IDS if has_ids else DETAILS), *(() if in_map else OF_OBSTACLES)}
+    shown = [name for name in COLUMNS if name not in left_out]
+    lines = [(method, *(_text(ours, name) for name in shown)) for method, ours in by_method.items()]
     starts = counted(max(map(len, by_method.values())), "start")
     title = f"{recording}: {counted(rows[0].targets, 'track')}, mean of {starts}"
-    note = NOTE + NOTE_OF_OBSTACLES * has_obstacles
-    return Table(title=title, note=note, header=("method", *shown), rows=tuple(lines), details=DETAILS)
+    note, details = (NOTE, DETAILS) if has_ids else (NOTE_WITHOUT_IDS, DETAILS_WITHOUT_IDS)
+    note += NOTE_OF_OBSTACLES * in_map
+    return Table(title=title, note=note, header=("method", *shown), rows=tuple(lines), details=details)
+
+
+def _text(rows: Sequence[ReplayRow], name: str) -> str:
+    """Mean over the starts; of GOSPA with its interval, if there are several."""
+    field, form = COLUMNS[name]
+    values = [getattr(row, field) for row in rows]
+    if name == GOSPA and len(rows) > 1:
+        return plus_minus(float(np.mean(values)), mean_interval(values))
+    return _mean(values, form)
 
 
 def _mean(values: Sequence[float | int | None], form: str) -> str:

@@ -14,7 +14,7 @@ from foveate.deploy import kalman
 from foveate.errors import InputError
 from foveate.recordings.compare import ReplayResult
 from foveate.recordings.definitions import typestore
-from foveate.recordings.replay import PreparedReplay
+from foveate.recordings.measures import PreparedReplay
 from foveate.ros.markers import belief_shapes, quaternion_of, truth_shapes, view_shapes
 from foveate.ros.messages import Messages, position_of, stamp_of
 from foveate.ros.node import MOST_TOPICS, topic_name
@@ -35,7 +35,12 @@ class Published(NamedTuple):
 
 
 def write_bag(result: ReplayResult, path: Path) -> str:
-    """Write the first method of a result, from the first start; return its name. Raises as `write_replay`."""
+    """Write the first method of a result, from the first start; return its name. Raises as `write_replay`.
+
+    Raises InputError for detections without ids, too: beliefs in a bag are by the ids of targets.
+    """
+    if result.experiment.scenario.detections is not None:
+        raise InputError(f"{path}: expected a folder, with detections without ids: a bag has beliefs by id")
     method = next(iter(result.traces))
     write_replay(*result.traces[method], path, result.recording.clock_origin_s)
     return method

@@ -165,7 +165,7 @@ def episode_of(
     mean = first_mean(problem, settings, first + error, newcomer=False)
     episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
     if others is not None:
-        return with_tracks(problem, episode, others)
+        return with_tracks(problem, episode, others.scans)
     if scene.others is not None and noise.mates is not None and noise.radio is not None:
         episode = replace(episode, team=TeamDraws(scene.others, noise.mates, noise.radio))
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode

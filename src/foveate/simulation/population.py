@@ -85,7 +85,7 @@ def joined(problem: Problem, scene: Drawn, noise: Noise, with_truth: bool) -> tu
     return scene, Noise(jitter=jitter, process=process, measurement=measurement, first=first), others
 
 
-def with_tracks(problem: Problem, episode: Episode, others: Others) -> Episode:
+def with_tracks(problem: Problem, episode: Episode, scans: ScanNoise) -> Episode:
     """The episode with scans, whose beliefs are tracks: of known targets from the start, in the first places."""
     model, _ = _model(problem)
     count = min(model.tracks, episode.mean.shape[0])
@@ -99,7 +99,7 @@ def with_tracks(problem: Problem, episode: Episode, others: Others) -> Episode:
         mean=placed(episode.mean),
         present=placed(episode.present & model.known),
         inputs=jnp.zeros_like(episode.inputs, shape=(steps, model.tracks, *inputs)),
-        scans=others.scans,
+        scans=scans,
     )
 
 
@@ -129,12 +129,25 @@ def others_of(problem: Problem, present: Bool[Array, " n"], noise: Noise) -> Oth
     births = jax.vmap(lambda u: poisson(u, jnp.sum(sources.rate), sources.births))(born)
     alive, begins, number = _lives(alive, survival < model.survival, births)
     newcomers = _newcomers(problem, begins, number, which, place, state)
-    alarms = jax.vmap(lambda u: poisson(u, model.clutter, sources.clutter))(alarms)
-    false = jnp.arange(sources.clutter) < alarms[:, None]
+    scans = scan_noise(model, alive, detection, alarms, picked, jnp.concatenate([order, alarm_order], axis=1))
+    return Others(first, _normal(process), _normal(measurement), newcomers, scans)
+
+
+def scan_noise(
+    model: DetectionModel,
+    alive: Bool[Array, "instants n"],
+    detection: Float[Array, "K n"],
+    alarms: Float[Array, " K"],
+    picked: Float[Array, "K alarms"],
+    order: Float[Array, "K candidates"],
+) -> ScanNoise:
+    """The scans of the targets that are `alive`, from uniform numbers: of false alarms, their number and places."""
+    most = picked.shape[1]
+    number = jax.vmap(lambda u: poisson(u, model.clutter, most))(alarms)
+    false = jnp.arange(most) < number[:, None]
     points = model.clutter_points_body
     chosen = jnp.minimum(jnp.floor(picked * len(points)), len(points) - 1).astype(int)
-    scans = ScanNoise(alive, detection, points[chosen], false, jnp.concatenate([order, alarm_order], axis=1))
-    return Others(first, _normal(process), _normal(measurement), newcomers, scans)
+    return ScanNoise(alive, detection, points[chosen], false, order)
 
 
 def _newcomers(

@@ -29,6 +29,8 @@ def run(options: Replay) -> int:
         max_gap=options.max_gap,
         max_speed=options.max_speed,
         gate=options.gate,
+        detection_probability=options.detection_probability,
+        clutter=options.clutter,
         seed=options.seed,
         map=options.map,
     )

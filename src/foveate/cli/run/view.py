@@ -8,8 +8,8 @@ from foveate.experiment.resolve import subject_of
 from foveate.plotting.live.player import EpisodeSource
 from foveate.plotting.live.server import record, serve
 from foveate.plotting.live.sources import methods_from, recorded, simulated
-from foveate.recordings.compare import prepared
 from foveate.recordings.formats import load_recording, load_window
+from foveate.recordings.outliers import prepared
 
 
 def run(options: View) -> int:

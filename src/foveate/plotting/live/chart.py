@@ -25,7 +25,8 @@ def curves(data: EpisodeData) -> Float[np.ndarray, "steps curves"]:
     mean = data.mean_log_det
     present = np.maximum.accumulate(np.where(np.isfinite(mean), np.arange(data.steps), -1))
     held = np.where(present >= 0, mean[present], np.nan)
-    each = data.log_det_present if data.targets <= MAX_CURVES and data.present.all() else np.zeros((data.steps, 0))
+    is_alike = data.tracks is None and data.targets <= MAX_CURVES and data.present.all()
+    each = data.log_det_present if is_alike else np.zeros((data.steps, 0))
     return np.column_stack([held, each])
 
 

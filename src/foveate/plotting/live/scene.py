@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from foveate.geometry.numpy_poses import rotation
 from foveate.io.figures import BLACK, GREY, SKY
 from foveate.plotting.ellipsoids import CIRCLE, box_lines, faces, is_closed, lifted, principal_axes
-from foveate.plotting.episode_data import TRAIL_STEPS, EpisodeData, snapshot
+from foveate.plotting.episode_data import TRAIL_STEPS, EpisodeData
 from foveate.plotting.scene import AGENT, BORDER, SEEN, UNSEEN
 from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
+from foveate.plotting.snapshot import snapshot
 from foveate.plotting.walls import WALL, loops
 
 LAYER = 0.01
@@ -139,11 +140,12 @@ class LiveScene:
                 scene, "/region", BORDER, 2.0, np.concatenate([segments(lifted(e)) for e in box_lines(data.region)])
             )
         self._beliefs, self._borders, self._means, self._targets, self._names = [], [], [], [], []
-        for i in range(data.targets):
+        for i in range(data.believed.shape[1]):
             belief = scene.add_mesh_simple(f"/belief/{i}", *unit, opacity=0.35, receive_shadow=False, **glass)
             self._beliefs.append(belief)
             self._borders.append(add_line(scene, f"/border/{i}", SEEN, 2.0, border))
             self._means.append(scene.add_icosphere(f"/estimate/{i}", 0.3 * self.size, color=color(SEEN)))
+        for i in range(data.targets):
             box = scene.add_box(f"/target/{i}", color=color(BLACK), dimensions=(0.45 * self.size,) * 3)
             self._targets.append(box)
             if data.targets <= MAX_NAMES:
@@ -175,22 +177,28 @@ class LiveScene:
         tracks = np.where(state.tracked[..., None], state.tracks, np.nan)
         set_segments(self._trails, [segments(lifted(track, layer)) for track in tracks.swapaxes(0, 1)])
         mean, truth = lifted(state.estimate, 4 * layer), lifted(state.truth, 5 * layer)
-        for i in range(self.data.targets):
-            belief, border, estimate, target = self._beliefs[i], self._borders[i], self._means[i], self._targets[i]
-            for each in (belief, border, estimate, target, *self._names[i : i + 1]):
-                each.visible = i < len(truth)
-            if i >= len(truth):
+        for i, bodies in enumerate(zip(self._beliefs, self._borders, self._means, strict=True)):
+            belief, border, estimate = bodies
+            for each in bodies:
+                each.visible = i < len(mean)
+            if i >= len(mean):
                 continue
             tint, (turn, scale) = color(SEEN if state.seen[i] else UNSEEN), turn_and_scale(state.covariance[i])
             for each in (belief, border):
                 each.position, each.wxyz, each.scale = mean[i], turn, scale
             belief.color = estimate.color = tint
+            belief.opacity = 0.35 * float(state.existence[i])
             border.colors = np.array(tint, np.uint8)
             # For colour-blind readers beliefs differ in thickness, too.
             border.thickness = 4.0 if state.seen[i] else 1.5
-            estimate.position, target.position = mean[i], truth[i]
-            for name in self._names[i : i + 1]:
-                name.position, name.text = truth[i], f"{state.columns[i] + 1}"
+            estimate.position = mean[i]
+        for i, target in enumerate(self._targets):
+            for each in (target, *self._names[i : i + 1]):
+                each.visible = i < len(truth)
+                if i < len(truth):
+                    each.position = truth[i]
+            for name in self._names[i : i + 1] if i < len(truth) else ():
+                name.text = f"{state.columns[i] + 1}"
 
 
 def aim_cameras(server: Any, scene: LiveScene) -> None:
