@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +20,7 @@ TRACKS = PROBLEM.detections.tracks
 
 def test_the_best_places_follow_the_tracks(seen):  # noqa: F811
     """A track of 0.9, and 2 targets expected in a corner: the first place is the nearest that has both in reach."""
-    found = with_places(tracking(expecting(seen, {(7, 7): 2.0}), 3.0, 0.9, 2.0))
+    found = eqx.filter_jit(with_places)(tracking(expecting(seen, {(7, 7): 2.0}), 3.0, 0.9, 2.0))
     assert found.observation.mean.shape == (TRACKS + PLACES, 4)
     assert found.observation.present.tolist() == [True] + [False] * (TRACKS - 1) + [True] * PLACES
     np.testing.assert_allclose(found.features[:, 0], [0.0] * TRACKS + [1.0] * PLACES)
@@ -31,9 +32,13 @@ def test_the_best_places_follow_the_tracks(seen):  # noqa: F811
 
 
 def test_tokens_have_the_features_in_front(seen):  # noqa: F811
-    plain = tokens_of(replace(seen, undetected=None), "terminal", True)
-    searched = with_places(seen)
-    tokens = searched.told(tokens_of(searched.observation, "gospa", True))
+    plain = jax.eval_shape(lambda seen: tokens_of(replace(seen, undetected=None), "terminal", True), seen)
+
+    def told(seen):
+        searched = with_places(seen)
+        return searched.told(tokens_of(searched.observation, "gospa", True))
+
+    tokens = jax.eval_shape(told, seen)
     assert tokens.features.shape == (token_count(PROBLEM, 3), token_size(PROBLEM))
     assert token_size(PROBLEM) == plain.features.shape[1] + SEARCH_FEATURES
     assert token_count(replace(PROBLEM, detections=None), 3) == 3
@@ -42,7 +47,7 @@ def test_tokens_have_the_features_in_front(seen):  # noqa: F811
 def test_an_untrained_policy_goes_where_targets_are_expected(seen):  # noqa: F811
     policy = PointerSettings().policy(PROBLEM, jax.random.key(0), "gospa")
     for cell, sign in (((4, 7), 1.0), ((4, 0), -1.0)):
-        action, _ = policy(expecting(seen, {cell: 3.0}), (), jax.random.key(1))
+        action, _ = eqx.filter_jit(policy)(expecting(seen, {cell: 3.0}), (), jax.random.key(1))
         assert np.sign(action[1]) == sign
 
 
