@@ -27,9 +27,18 @@ def test_an_experiment_has_its_own_world():
     experiment = PRESETS["quadrotor"]
     (world,) = worlds_of(experiment)
     assert (world.scenes, world.objective, world.robots) == (experiment.scenario.scenes, "mean", None)
-    problem, episode = world.drawn(jax.random.key(3))
-    assert problem is world.problem
-    expected = training_episode(experiment.scenario.problem(), experiment.scenario.scenes, jax.random.key(3), True)
+    problems = []
+
+    @jax.jit
+    def drawn(key):
+        problem, episode = world.drawn(key)
+        problems.append(problem)
+        return episode
+
+    episode = drawn(jax.random.key(3))
+    assert problems[0] is world.problem
+    problem, scenes = experiment.scenario.problem(), experiment.scenario.scenes
+    expected = jax.jit(lambda key: training_episode(problem, scenes, key, True))(jax.random.key(3))
     np.testing.assert_array_equal(episode.mean, expected.mean)
 
 
@@ -42,8 +51,7 @@ def test_every_episode_of_a_random_world_has_its_own_robot(number):
         assert len(np.unique(np.asarray(of(robots)))) == 3
     for leaf in jax.tree.leaves((robots, episodes)):
         assert np.isfinite(np.asarray(leaf, float)).all()
-    one, _ = world.drawn(jax.random.key(5))
-    again, _ = world.drawn(jax.random.key(5))
+    one, again = (jax.jit(world.drawn)(jax.random.key(5))[0] for _ in range(2))
     np.testing.assert_array_equal(one.agent.upper, again.agent.upper, err_msg="the robot is that of the episode's key")
 
 

@@ -35,11 +35,11 @@ def test_a_way_ends_where_a_fine_walk_along_it_meets_the_border(d):
     walk = before[:, None] + SHARES[:, None] * (after - before)[:, None]
     outside = ((walk < LOW[:d]) | (walk > HIGH[:d])).any(axis=-1)
     expected = np.where(outside.any(axis=1), SHARES[outside.argmax(axis=1)], 1.0)
-    found = np.asarray(jax.vmap(region(d).share_inside)(before, after))
+    found = np.asarray(jax.jit(jax.vmap(region(d).share_inside))(before, after))
     np.testing.assert_allclose(found, expected, atol=1e-3)
     assert ((found == 1.0) == ~outside.any(axis=1)).all()
     assert 25 < (found < 1).sum() < 175, "else one of the cases is not tested"
-    stays = np.asarray(jax.vmap(region(d, agent="stay").share_inside)(before, after))
+    stays = np.asarray(jax.jit(jax.vmap(region(d, agent="stay").share_inside))(before, after))
     np.testing.assert_array_equal(stays, np.where(found < 1, 0.0, 1.0))
 
 
@@ -61,7 +61,8 @@ def test_a_way_ends_where_a_fine_walk_along_it_comes_too_near(d):
     gaps = np.linalg.norm(walk[:, :, None] - points[:, None], axis=-1)
     near = ((gaps < distance) & exist[:, None]).any(axis=-1)
     expected = np.where(near.any(axis=1), SHARES[near.argmax(axis=1)], 1.0)
-    found = jax.vmap(lambda b, a, p, e: share_clear(b, a, p, e, jnp.asarray(distance)))(before, after, points, exist)
+    clear = jax.jit(jax.vmap(lambda *each: share_clear(*each, jnp.asarray(distance))))
+    found = clear(before, after, points, exist)
     np.testing.assert_allclose(found, expected, atol=1e-3)
     assert 25 < near.any(axis=1).sum() < 175, "else one of the cases is not tested"
 
@@ -88,12 +89,12 @@ def test_gradients_of_a_stopped_way_are_those_of_differences():
         return jnp.sum(jnp.array([1.0, 2.0]) * (before + share * (after - before)))
 
     for value, after in ((at_border, [4.5, 3.0]), (at_target, [-0.5, 1.8])):
-        slope = np.asarray(jax.grad(value)(jnp.array(after)))
+        slope, value = np.asarray(jax.jit(jax.grad(value))(jnp.array(after))), jax.jit(value)
         assert np.abs(slope).max() > 0.05
         for i, step in enumerate(1e-6 * np.eye(2)):
             difference = (value(jnp.array(after + step)) - value(jnp.array(after - step))) / 2e-6
             np.testing.assert_allclose(slope[i], difference, atol=1e-7)
-    standing = jax.grad(lambda after: at_target(after) + at_border(after))(jnp.array([2.0, 2.5]))
+    standing = jax.jit(jax.grad(lambda after: at_target(after) + at_border(after)))(jnp.array([2.0, 2.5]))
     assert np.isfinite(standing).all()
 
 

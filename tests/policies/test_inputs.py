@@ -1,5 +1,6 @@
 """Features of a policy against scipy's rotations."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,9 +8,10 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from foveate.geometry.space import SPACES
-from foveate.policies.inputs import policy_inputs
+from foveate.policies import inputs
 from foveate.simulation.records import Observation
 
+policy_inputs = eqx.filter_jit(inputs.policy_inputs)
 RNG = np.random.default_rng(0)
 
 
