@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import optax
 import pytest
-from helpers.compilation import compile_least
+from helpers.compilation import collect_seldom, compile_least, share_context
 from jaxtyping import install_import_hook
 
 TESTS = Path(__file__).parent
@@ -31,6 +31,7 @@ install_import_hook("foveate", "beartype.beartype")
 from foveate.io.jax_settings import compile_fast  # noqa: E402
 
 compile_fast()
+share_context()
 # A sixth less again; processes that tests start inherit it.
 os.environ["XLA_FLAGS"] += " --xla_llvm_force_inline_before_split=false --xla_cpu_parallel_codegen_split_count=1"
 
@@ -98,6 +99,10 @@ def pytest_addoption(parser):
 def pytest_unconfigure(config):
     if IS_FIRST:
         shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+
+
+def pytest_collection_finish():
+    collect_seldom()
 
 
 def pytest_report_header(config):

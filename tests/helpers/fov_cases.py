@@ -247,6 +247,18 @@ def _distance(shape, points):
 
 
 @eqx.filter_jit
+def contains(shape, points):
+    """Which of the points are in the shape."""
+    return shape.contains(points)
+
+
+@eqx.filter_jit
+def extent(shape):
+    """How far the shape reaches."""
+    return shape.extent
+
+
+@eqx.filter_jit
 def _gradients(shape, points):
     reverse = jax.value_and_grad(lambda shape, point: shape.signed_distance(point), (0, 1))
     value, (by_shape, by_point) = jax.vmap(reverse, (None, 0))(shape, points)

@@ -3,10 +3,12 @@
 import warnings
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episodes import training_episode
 from helpers.worlds_of_detections import HALL
 
 import foveate
@@ -17,7 +19,6 @@ from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
 from foveate.learning.windows import cut
 from foveate.names import HEURISTICS, SEARCHERS
 from foveate.policies.pointer import PointerSettings
-from foveate.simulation.episodes import training_episode
 
 SMALL = replace(
     HALL, scenes=replace(HALL.scenes, steps=4), detections=replace(HALL.detections, cells=(4, 4), undetected=0.5)
@@ -58,7 +59,7 @@ def test_objective_and_learner_must_fit(scenario, training, words):
 
 def test_a_window_has_its_part_of_the_scans():
     episode = training_episode(SMALL.problem(), SMALL.scenes, jax.random.key(0), noise=True)
-    window = cut(episode, jnp.array(1), 2)
+    window = eqx.filter_jit(cut)(episode, jnp.array(1), 2)
     np.testing.assert_array_equal(window.scans.alive, episode.scans.alive[1:4])
     np.testing.assert_array_equal(window.scans.detection, episode.scans.detection[1:3])
     np.testing.assert_array_equal(window.scans.order, episode.scans.order[1:3])

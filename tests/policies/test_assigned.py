@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episodes import training_episode
 from helpers.rejections import assert_rejected
 from scipy.optimize import linear_sum_assignment
 
@@ -17,7 +18,6 @@ from foveate.policies.rules import priced
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.team import TeamSettings
-from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
 from foveate.simulation.rollout import rollout
 from foveate.simulation.suites import scene_episodes
@@ -44,19 +44,24 @@ def test_every_target_has_one_robot_and_no_robot_two_more_than_another(robots, t
 def observed():
     problem = SCENARIO.problem()
     episode = training_episode(problem, SCENARIO.scenes, jax.random.key(1), noise=True)
-    return problem, first_observations(problem, episode, TRUE)
+    return problem, jax.jit(lambda episode: first_observations(problem, episode, TRUE))(episode)
+
+
+def prices(observed):
+    """What each target costs each robot."""
+    problem, seen = observed
+    return jax.jit(jax.vmap(lambda each: priced(problem, each)))(seen)
 
 
 def assigned(observed, rule, observation=None):
     """The targets of each robot at the first decision, and the policy with its memories."""
     policy = assigned_in(SCENARIO, heuristic_in(SCENARIO, "nearest"), rule)
-    memory = jax.vmap(policy.start)(observed[1] if observation is None else observation)
+    memory = jax.jit(jax.vmap(policy.start))(observed[1] if observation is None else observation)
     return np.asarray(memory.targets), policy, memory
 
 
 def test_hungarian_equals_scipy_on_the_price_of_every_robot(observed):
-    problem, seen = observed
-    cost = np.array([priced(problem, jax.tree.map(lambda x, m=m: x[m], seen)) for m in range(M)])
+    cost = np.asarray(prices(observed))
     rows, columns = linear_sum_assignment(cost)
     for rule in ("hungarian", "auction"):
         targets = assigned(observed, rule)[0]
@@ -73,14 +78,14 @@ def test_greedy_takes_the_nearest_pair(observed):
 
 def test_an_auction_goes_by_the_bids_that_were_heard(observed):
     """Robot 0 hears that robot 1 bids less than it can for all targets but the third, and leaves that one to it."""
-    problem, seen = observed
+    seen = observed[1]
     bids = jnp.array([-900.0, -900.0, 900.0])
     heard = (jnp.full(M, 2), jnp.ones_like(seen.team.age), seen.team.claims.at[:, 1].set(bids))
     later = eqx.tree_at(lambda seen: (seen.step, seen.team.age, seen.team.claims), seen, heard)
     targets, policy, memory = assigned(observed, "auction", later)
     assert targets[0].tolist() in ([True, False, False], [False, True, False])
-    own = jax.vmap(policy.claims)(seen, memory)
-    expected = -np.array(priced(problem, jax.tree.map(lambda x: x[0], seen)))
+    own = jax.jit(jax.vmap(policy.claims))(seen, memory)
+    expected = -prices(observed)[0]
     np.testing.assert_allclose(own[0], expected, atol=1e-9)
 
 
@@ -88,7 +93,7 @@ def test_a_robot_keeps_its_target_for_a_while(observed):
     """The bid for a robot's own target is better by KEEP_NATS at its next decision."""
     seen = observed[1]
     targets, policy, memory = assigned(observed, "auction")
-    after = jax.vmap(lambda *each: policy(*each)[1])(seen, memory, jax.random.split(jax.random.key(0), M))
+    after = jax.jit(jax.vmap(lambda *each: policy(*each)[1]))(seen, memory, jax.random.split(jax.random.key(0), M))
     np.testing.assert_allclose(after.bids - memory.bids, KEEP_NATS * targets, atol=1e-9)
 
 

@@ -66,11 +66,13 @@ def test_a_safe_action_stays_and_one_into_a_wall_is_shortened_or_turned():
     wall = ShapeObstacles(boxes=((2.0, -6.0, 3.0, 6.0),), robot_radius_m=0.2)
     problem = replace(SCENARIO, obstacles=wall).problem()
     safe = KeepOff(Random(problem), problem, KEEP_M)
-    control = problem.agent.control
+
+    @jax.jit
+    def shortened(pose, control):
+        return problem.agent.control(safe.shortened(pose, problem.agent.action(control)))
 
     def after(x, v, w):
-        action = problem.agent.action(jnp.array([v, w]))
-        return np.asarray(control(safe.shortened(jnp.array([x, 0.0, 0.0]), action)))
+        return np.asarray(shortened(np.array([x, 0.0, 0.0]), np.array([v, w])))
 
     np.testing.assert_allclose(after(-6.0, 4.0, 0.5), [4.0, 0.5], atol=1e-6)
     np.testing.assert_allclose(after(0.0, -3.0, 0.5), [-3.0, 0.5], atol=1e-6)

@@ -1,5 +1,6 @@
 """Look-ahead in worlds without ids: costs by hand, and a way that finds what is expected."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,7 @@ def still():
 
 def test_undetected_targets_are_found_with_their_probability(seen, still):  # noqa: F811
     """One expected well in view, one behind: 0.2^k of the former are left, and births are added in each step."""
-    left = _of_undetected(PROBLEM, expecting(seen, {(5, 4): 1.0, (0, 4): 1.0}), still)
+    left = eqx.filter_jit(_of_undetected)(PROBLEM, expecting(seen, {(5, 4): 1.0, (0, 4): 1.0}), still)
     births = np.array([0.0, 0.3, 0.6])
     expected = 1.0 + 0.2 ** np.arange(1, 4) + births
     # Births ahead of the robot may be found, too: at most all of them.
@@ -28,7 +29,7 @@ def test_undetected_targets_are_found_with_their_probability(seen, still):  # no
 
 def test_errors_grow_as_the_motion_says(seen):  # noqa: F811
     """Variance P + 2 k c + k^2 V + W of each axis, by the closed form of white acceleration."""
-    errors = errors_ahead(PROBLEM, tracking(seen, 3.0, 1.0, 0.5), 4)
+    errors = eqx.filter_jit(errors_ahead)(PROBLEM, tracking(seen, 3.0, 1.0, 0.5), 4)
     k = np.arange(4)
     closed = 2 * (0.25 + k**2 * 0.25 + 0.01 * k**3 / 3)
     np.testing.assert_allclose(errors.unseen[:, 0], closed, rtol=1e-5)
@@ -38,15 +39,17 @@ def test_errors_grow_as_the_motion_says(seen):  # noqa: F811
 
 def test_it_turns_to_where_targets_are_expected(seen):  # noqa: F811
     for cell, sign in (((4, 7), 1.0), ((4, 0), -1.0)):
-        action, _ = LookAhead(PROBLEM)(expecting(seen, {cell: 3.0}), (), jax.random.key(0))
+        action, _ = eqx.filter_jit(LookAhead(PROBLEM))(expecting(seen, {cell: 3.0}), (), jax.random.key(0))
         assert np.sign(action[1]) == sign
 
 
 def test_a_track_in_view_costs_less_than_one_that_is_not(seen, still):  # noqa: F811
     planner = LookAhead(PROBLEM, 3)
-    cost = []
-    for x_m in (4.0, -4.0):
-        given = tracking(seen, x_m, 0.9, 3.0)
-        cost.append(float(planner.cost(PROBLEM, given, errors_ahead(PROBLEM, given, 3), still)))
+
+    @eqx.filter_jit
+    def cost_of(given):
+        return planner.cost(PROBLEM, given, errors_ahead(PROBLEM, given, 3), still)
+
+    cost = [float(cost_of(tracking(seen, x_m, 0.9, 3.0))) for x_m in (4.0, -4.0)]
     assert cost[0] < cost[1]
     assert HALL.detections.confirm < 0.9

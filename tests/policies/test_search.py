@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episodes import training_episode
 from helpers.worlds_of_detections import HALL
 
 from foveate.errors import InputError
@@ -13,7 +14,6 @@ from foveate.models.robot import Robot
 from foveate.names import SEARCHERS
 from foveate.planning.named import heuristic_policy
 from foveate.policies.search import Alternate, Explore, undetected_of
-from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE, Observation, observe
 from foveate.simulation.step import predict, start
 
@@ -24,8 +24,13 @@ PROBLEM = HALL.problem()
 def seen() -> Observation:
     """A robot in the middle, heading along x, that knows of nothing."""
     episode = training_episode(PROBLEM, HALL.scenes, jax.random.key(0), noise=True)
-    predicted = predict(PROBLEM, start(PROBLEM, episode, TRUE), episode.inputs[0])
-    first = observe(predicted, episode.inputs[0], episode.horizon, Robot.of(PROBLEM))
+
+    @jax.jit
+    def observed(episode):
+        predicted = predict(PROBLEM, start(PROBLEM, episode, TRUE), episode.inputs[0])
+        return observe(predicted, episode.inputs[0], episode.horizon, Robot.of(PROBLEM))
+
+    first = observed(episode)
     return replace(first, pose=jnp.zeros(3), undetected=jnp.zeros((8, 8)))
 
 

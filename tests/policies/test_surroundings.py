@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +28,7 @@ SCENARIO = Scenario(
 )
 RAYS = 16
 POSE = np.array([-3.0, -1.0, 0.4])
+tokens = eqx.filter_jit(tokens_of)
 TARGETS = np.array([[-4.0, 1.0], [3.0, 0.0], [-3.0, 4.0], [-1.0, -3.0]])
 
 
@@ -37,7 +39,7 @@ def observation():
 
 
 def test_ranges_and_lines_of_sight_are_those_of_shapely(observation):
-    found = surroundings(observation, observation.robot, jnp.asarray(TARGETS), RAYS, jnp.array(2.0))
+    found = eqx.filter_jit(surroundings)(observation, observation.robot, jnp.asarray(TARGETS), RAYS, jnp.array(2.0))
     walls = shapely.union_all([shapely.box(*box) for box in BOXES])
     angle = np.arctan2(*fan(RAYS, 2).T[::-1]) + POSE[2]
     most = RANGE_DEPTHS * 4.0
@@ -54,38 +56,34 @@ def test_ranges_and_lines_of_sight_are_those_of_shapely(observation):
 
 
 def test_the_first_mode_aims_along_the_way(observation):
-    aim = tokens_of(observation, "mean", True, rays=RAYS).aim
-    problem, action = (
-        SCENARIO.problem(),
-        jax.vmap(lambda place: steer_to(SCENARIO.problem(), jnp.asarray(POSE), place, 2.0)),
-    )
+    aim = tokens(observation, "mean", True, rays=RAYS).aim
+    problem = SCENARIO.problem()
+    action = jax.jit(jax.vmap(lambda place: steer_to(problem, jnp.asarray(POSE), place, 2.0)))
     expected = np.asarray(action(jnp.asarray(TARGETS)))
     np.testing.assert_allclose(np.asarray(aim)[:, list(problem.agent.axes)], expected, atol=1e-5)
-    blind = tokens_of(observation, "mean", True)
+    blind = tokens(observation, "mean", True)
     assert np.abs(np.asarray(blind.aim - aim))[1].max() > 0.1
     np.testing.assert_allclose(blind.aim[3], aim[3], atol=1e-6)  # nothing is between
     assert blind.features.shape[1] == token_size(problem)
 
 
 def test_what_an_observation_says_replaces_the_map(observation):
-    there = jnp.asarray(TARGETS)
-    away = jnp.linalg.norm(there - POSE[:2], axis=-1)
-    free = jnp.ones(4, bool)
-    said = Surroundings(jnp.full(RAYS, RANGE_DEPTHS * 4.0), there, away, free, free)
-    told = tokens_of(replace(observation, surroundings=said), "mean", True, rays=RAYS)
+    away, free = np.linalg.norm(TARGETS - POSE[:2], axis=-1), np.ones(4, bool)
+    said = Surroundings(*map(jnp.asarray, (np.full(RAYS, RANGE_DEPTHS * 4.0), TARGETS, away, free, free)))
+    told = tokens(replace(observation, surroundings=said), "mean", True, rays=RAYS)
     bare = replace(observation, robot=replace(observation.robot, problem=replace(SCENARIO.problem(), obstacles=None)))
-    open_world = tokens_of(bare, "mean", True, rays=RAYS)
+    open_world = tokens(bare, "mean", True, rays=RAYS)
     np.testing.assert_allclose(told.features, open_world.features, atol=1e-6)
     np.testing.assert_allclose(told.aim, open_world.aim, atol=1e-6)
-    assert np.abs(np.asarray(told.features - tokens_of(observation, "mean", True, rays=RAYS).features)).max() > 0.1
+    assert np.abs(np.asarray(told.features - tokens(observation, "mean", True, rays=RAYS).features)).max() > 0.1
 
 
 def test_a_policy_decides_among_obstacles_and_in_the_open(observation):
     policy = PointerSettings(rays=RAYS).policy(SCENARIO.problem(), jax.random.key(0))
-    action, _ = policy(observation, (), jax.random.key(0))
+    action, _ = eqx.filter_jit(policy)(observation, (), jax.random.key(0))
     assert np.isfinite(np.asarray(action)).all()
     size = token_size(SCENARIO.problem(), RAYS)
-    assert policy.tokens(observation).features.shape == (4, size)
+    assert jax.eval_shape(policy.tokens, observation).features.shape == (4, size)
     assert size > token_size(SCENARIO.problem()) + RAYS
 
 

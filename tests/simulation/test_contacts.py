@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from helpers.episodes import rollout, training_episode
 
 from foveate.errors import InputError
 from foveate.evaluation.evaluate import evaluate, prepare
@@ -23,9 +24,8 @@ from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.target import VelocityTarget
-from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import SURROGATE, TRUE
-from foveate.simulation.rollout import log_dets, rollout
+from foveate.simulation.rollout import log_dets
 from foveate.simulation.suites import own_suite, scene_episodes
 
 HALL = SceneSettings(
@@ -179,8 +179,9 @@ def test_the_gradient_of_a_policy_knows_the_wall():
         return log_dets(problem, Turning(problem, turn), episode, SURROGATE, jax.random.key(0))[2, 0]
 
     turn, step = jnp.array(0.05), 0.02
-    found = jax.grad(score)(turn)
-    expected = (score(turn + step) - score(turn - step)) / (2 * step)
+    _, found = jax.jit(jax.value_and_grad(score))(turn)
+    below, above = jax.jit(jax.vmap(score))(jnp.array([turn - step, turn + step]))
+    expected = (above - below) / (2 * step)
     assert abs(float(expected)) > 0.02
     assert float(found) == pytest.approx(float(expected), rel=0.15)
 

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from helpers.episodes import rollout
 
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness, detection_weight
@@ -20,7 +22,7 @@ from foveate.scenario.sensor import SensorSettings
 from foveate.scenario.target import DriftTarget
 from foveate.simulation.draft import positions_body
 from foveate.simulation.records import SURROGATE, TRUE, Protocol
-from foveate.simulation.rollout import rollout, weights
+from foveate.simulation.rollout import weights
 from foveate.simulation.step import instants, stages
 from foveate.simulation.suites import scene_episodes
 
@@ -59,15 +61,16 @@ def test_measured_targets_are_those_that_shapely_sees():
     trace = rollout(problem, Random(problem), episode, TRUE, jax.random.key(1))
     wall = shapely.box(3.0, -1.0, 4.0, 6.0)
     near = 0
-    for pose, states, visible in zip(trace.pose[1:], episode.truth.state[1:], trace.visible, strict=True):
-        body = positions_body(problem, pose, states)
-        lines = shapely.linestrings([[pose[:2], state] for state in np.asarray(states)])
-        in_view = np.asarray(problem.sensor.view.contains(body))
+    poses, truth = trace.pose[1:], episode.truth.state[1:]
+    views = jax.jit(jax.vmap(lambda *each: problem.sensor.view.contains(positions_body(problem, *each))))(poses, truth)
+    shown = map(np.asarray, (poses, truth, trace.visible, views))
+    for pose, states, visible, in_view in zip(*shown, strict=True):
+        lines = shapely.linestrings([[pose[:2], state] for state in states])
         gap = shapely.distance(wall, lines)
         seen = in_view & (gap > 0.1)
-        assert (np.asarray(visible)[gap > 0.1] == seen[gap > 0.1]).all()
+        assert (visible[gap > 0.1] == seen[gap > 0.1]).all()
         inner = shapely.intersects(shapely.box(3.1, -0.9, 3.9, 5.9), lines)
-        assert not np.asarray(visible)[inner].any()
+        assert not visible[inner].any()
         near += seen.sum()
     assert near > 10
 
@@ -76,8 +79,10 @@ def test_the_soft_weight_is_that_of_the_view_times_that_of_the_sight():
     problem, level = SCENARIO.problem(), Softness(2.0, 0.3)
     protocol = Protocol(levels=(level,))
     episode = episode_of(problem)
-    found = weights(problem, Still(problem), episode, protocol, jax.random.key(0))
-    bare = weights(replace(problem, obstacles=None), Still(problem), episode, protocol, jax.random.key(0))
+    found = eqx.filter_jit(weights)(problem, Still(problem), episode, protocol, jax.random.key(0))
+    bare = eqx.filter_jit(weights)(
+        replace(problem, obstacles=None), Still(problem), episode, protocol, jax.random.key(0)
+    )
     samples = np.linspace(0, 1, 2000)[:, None, None] * np.asarray(SCENE.targets)
     wall = shapely.box(3.0, -1.0, 4.0, 6.0)
     where = shapely.points(samples)

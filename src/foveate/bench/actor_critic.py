@@ -30,7 +30,7 @@ def row_products(problem: Problem, learner: Learner, targets: int) -> int:
     assert isinstance(learner.policy, PointerPolicy), "the actor-critic trains no other"
     observation = observation_of(problem, targets)
     decision = multiply_adds(learner.policy, observation, (), jax.random.key(0))
-    return decision + multiply_adds(learner.critic, learner.policy.tokens(observation))
+    return decision + multiply_adds(learner.critic, jax.eval_shape(learner.policy.tokens, observation))
 
 
 def minimum_operations(experiment: Experiment, problem: Problem, learner: Learner) -> float:
