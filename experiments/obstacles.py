@@ -1,12 +1,13 @@
 """Check that no agent enters an obstacle, and measure what obstacles cost.
 
-    python experiments/obstacles.py [--maps 100] [--episodes 500] [--steps 100] [--kinds circles rooms streets]
+    python experiments/obstacles.py [--maps 100] [--episodes 500] [--steps 100] [--kinds circles rooms streets forest]
     python experiments/obstacles.py --cost
 
 The first form plays random actions, heuristics and the trained policy `rooms` over random maps with a robot that is
 fast and turns sharply, and looks for every step with shapely whether the arc that the agent went, or a target, came too
-near to an obstacle. The second times a step of 1024 environments with a map of 256 x 256 cells and 32 rays each, over
-one without.
+near to an obstacle. In a forest it looks in the horizontal section, above the ground on which the trunks stand; they
+are taller than the robot flies, and `rooms`, a policy of the plane, is not played there. The second times a step of
+1024 environments with a map of 256 x 256 cells and 32 rays each, over one without.
 """
 
 import argparse
@@ -24,8 +25,9 @@ from foveate.experiment.resolve import load
 from foveate.geometry.shapes import Shape
 from foveate.geometry.sight import fan
 from foveate.planning.named import heuristic_policy
-from foveate.scenario.agent import DifferentialDrive
-from foveate.scenario.random_obstacles import CircleObstacles, RoomObstacles, StreetObstacles
+from foveate.scenario.agent import DifferentialDrive, Quadrotor
+from foveate.scenario.field_of_view import FrustumView
+from foveate.scenario.random_obstacles import CircleObstacles, ForestObstacles, RoomObstacles, StreetObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.starts import start_box
@@ -37,8 +39,10 @@ from foveate.simulation.rollout import rollout
 HALL = SceneSettings(
     targets_min=3, targets_max=6, half_side_m=(12.0, 12.0), half_side_per_target_m=0.0, agent_spread=1.0
 )
+AIR = replace(HALL, centre_m=(0.0, 0.0, 3.0), half_side_m=(12.0, 12.0, 1.5), drift_m_s=(0.8, 0.8, 0.1))
+FLYER = Quadrotor(v_max_m_s=8.0, climb_max_m_s=1.0, yaw_rate_max_rad_s=3.0)
 ROBOT = DifferentialDrive(v_min_m_s=-2.0, v_max_m_s=8.0, w_max_rad_s=3.0)
-KINDS = {"circles": CircleObstacles, "rooms": RoomObstacles, "streets": StreetObstacles}
+KINDS = {"circles": CircleObstacles, "rooms": RoomObstacles, "streets": StreetObstacles, "forest": ForestObstacles}
 METHODS = ("random", "nearest", "price", "rooms")
 ARC_POINTS, BATCH, TOLERANCE_M = 33, 100, 0.01
 ENVIRONMENTS, RAYS, RANGE_M = 1024, 32, 8.0
@@ -58,22 +62,33 @@ def trees(obstacles, box) -> list[shapely.STRtree]:
     return [shapely.STRtree([geometry(shape) for shape in obstacles.shapes_in(rng, low, high)]) for rng in rngs]
 
 
+def world(kind: str, maps: int, steps: int) -> Scenario:
+    """A fast robot that turns sharply among random obstacles of a kind."""
+    if kind != "forest":
+        scenes = replace(HALL, steps=steps)
+        return Scenario(agent=ROBOT, scenes=scenes, obstacles=KINDS[kind](maps=maps, test_maps=0))
+    # Of a robot that flies no higher than the trunks: those are in the section of all its ways.
+    tall = ForestObstacles(maps=maps, test_maps=0, height_m=(500.0, 500.0))
+    return Scenario(agent=FLYER, view=FrustumView(), scenes=replace(AIR, steps=steps), obstacles=tall)
+
+
 def check(kind: str, maps: int, episodes: int, steps: int) -> None:
     """Play, and print for every method the numbers of steps, contacts, and violations of agent and targets."""
-    obstacles = KINDS[kind](maps=maps, test_maps=0)
-    scenario = Scenario(agent=ROBOT, scenes=replace(HALL, steps=steps), obstacles=obstacles)
+    scenario = world(kind, maps, steps)
+    obstacles, methods = scenario.obstacles, METHODS if scenario.dimension == 2 else METHODS[:3]
     problem, forest = scenario.problem(), trees(obstacles, start_box(scenario.scenes, None))
-    depth_m = float(scenario.view.depth_m)
-    given = [load(m)[1] if m == "rooms" else heuristic_policy(m, problem, depth_m) for m in METHODS]
+    depth_m, ground = float(scenario.view.depth_m), start_box(scenario.scenes, None)[0][-1]
+    given = [load(m)[1] if m == "rooms" else heuristic_policy(m, problem, depth_m) for m in methods]
 
     def arc(pose, action, after):
         """Places on the way of a step, up to where the agent really came."""
         twist, space = problem.tau * problem.agent.twist(action), problem.agent.space
         share = jnp.linspace(0.0, 1.0, 8 * (ARC_POINTS - 1) + 1)
         places = jax.vmap(lambda s: space.position(space.move(pose, s * twist)))(share)
-        end = share[jnp.argmin(jnp.sum((places - after[:2]) ** 2, axis=-1))]
+        last = space.position(after)
+        end = share[jnp.argmin(jnp.sum((places - last) ** 2, axis=-1))]
         way = jax.vmap(lambda s: space.position(space.move(pose, s * end * twist)))(share[::8])
-        return way.at[-1].set(after[:2])
+        return way.at[-1].set(last)
 
     @eqx.filter_jit
     def play(problem, policies, which, keys):
@@ -83,11 +98,12 @@ def check(kind: str, maps: int, episodes: int, steps: int) -> None:
             episode = training_episode(problem, scenario.scenes, key, noise=True)
             trace = rollout(problem, policy, episode, TRUE, key)
             ways = jax.vmap(arc)(trace.pose[:-1], trace.action, trace.pose[1:])
-            return episode.map_number, ways, trace.contacts[-1], episode.truth.state[1:, :, :2], episode.present
+            targets = episode.truth.state[1:, :, : scenario.dimension]
+            return episode.map_number, ways, trace.contacts[-1], targets, episode.present
 
         return jax.vmap(run)(keys)
 
-    for which, method in enumerate(METHODS):
+    for which, method in enumerate(methods):
         entered = inside = contacts = 0
         for first in range(0, episodes, BATCH):
             keys = jax.random.split(jax.random.key(first), BATCH)
@@ -95,9 +111,11 @@ def check(kind: str, maps: int, episodes: int, steps: int) -> None:
             numbers, ways, touched, targets, present = map(np.asarray, played)
             contacts += touched.sum()
             for number, lines, places, real in zip(numbers, ways, targets, present, strict=True):
+                lines = lines[(lines[..., 2:] > ground).all(axis=(1, 2))][..., :2]  # beside the trunks
                 near = {"predicate": "dwithin", "distance": obstacles.robot_radius_m - TOLERANCE_M}
                 entered += len(np.unique(forest[number].query(shapely.linestrings(lines), **near)[0]))
-                points = shapely.points(places[:, real].reshape(-1, 2))
+                places = places[:, real].reshape(-1, scenario.dimension)
+                points = shapely.points(places[(places[:, 2:] > ground).all(axis=1), :2])
                 inside += len(np.unique(forest[number].query(points, predicate="intersects")[0]))
         total = -(-episodes // BATCH) * BATCH * steps
         found = f"{contacts:8} contacts; in obstacles {entered:4} ways, {inside:4} targets"

@@ -27,6 +27,7 @@ WANTED = {
     *("paper", "search", "quadrotor", "pan", "pan-tilt", "tutorial", "zara01", "sind"),
     *("rest-200", "set-tracking", "commands-12", "fast-drone", "slow-robot", "crowd-20", "long-1000"),
     *("team-tracking", "team-lossy", "regions"),
+    *("rooms", "circles", "streets", "forest"),
 }
 
 
@@ -59,11 +60,13 @@ def test_a_world_is_an_experiment_that_can_be_simulated(name):
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_networks_and_learners_of_a_world_are_the_defaults(name):
-    """But for the objective, which belongs to the world."""
+    """But for the objective, which belongs to the world, and rays among obstacles."""
     experiment = load_toml(Experiment, WORLDS[name])
     training, policy = experiment.training, experiment.policy
     assert training == ActorCriticSettings(algorithm="actor-critic", objective=training.objective)
-    assert policy == PointerSettings(kind="pointer")
+    among_obstacles = experiment.scenario.obstacles is not None
+    assert policy == PointerSettings(kind="pointer", rays=policy.rays)
+    assert (policy.rays > 0) == among_obstacles
 
 
 @pytest.mark.parametrize("name", sorted(set(WORLDS) & set(PRESETS)))

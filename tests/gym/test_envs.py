@@ -13,6 +13,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from helpers.worlds_of_detections import HALL
 
 import foveate.gym.envs
 from foveate.errors import InputError
@@ -375,3 +376,18 @@ def test_among_obstacles_environments_tell_ranges_and_contacts():
         make(scenario="paper", rays=8)
     with pytest.raises(InputError, match="rays = -1: expected a whole number"):
         make(scenario=WALLED, rays=-1)
+
+
+@pytest.mark.slow
+def test_detections_without_ids_are_observed_and_drawn():
+    """As many rows as tracks; of the picture, the title has GOSPA, and tracks stand beside true targets."""
+    env = gymnasium.make(foveate.gym.ID, scenario=HALL, render_mode="rgb_array")
+    seen, _ = env.reset(seed=0)
+    assert HALL.detections is not None
+    assert seen["mask"].shape == (HALL.detections.tracks,)
+    assert seen["mask"].sum() == 0, "nobody knows the targets of this world"
+    for _ in range(3):
+        seen, reward, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
+        assert np.isfinite(reward)
+    assert env.render().shape == (500, 900, 3)
+    env.close()

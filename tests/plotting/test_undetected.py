@@ -1,5 +1,7 @@
 """Pictures of detections without ids: tracks by their existence, the map of undetected targets, numbers over time."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from helpers.episode_data import random_episode
@@ -11,6 +13,8 @@ from foveate.planning.named import heuristic_in
 from foveate.plotting import animation
 from foveate.plotting import scene as drawing
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, suite_data
+from foveate.plotting.live.chart import facts
+from foveate.plotting.live.scene import PIXELS, LiveScene
 from foveate.plotting.replay_figure import replay_figure
 from foveate.plotting.track_data import TrackData
 from foveate.plotting.undetected import DARKEST, draw_counts
@@ -88,3 +92,37 @@ def test_the_map_is_that_of_the_filter_that_ran():
     assert data.tracks.undetected is not None
     np.testing.assert_allclose(data.tracks.undetected.sum(axis=(1, 2)), trace.undetected[0], rtol=1e-4)
     np.testing.assert_array_equal(data.present, np.asarray(suite.episodes.scans.alive)[0])
+
+
+def test_the_live_view_shows_tracks_and_cells(episode):
+    """In a scene that keeps what it is given: bodies of five slots and three targets, cells where the map has them."""
+    kept = KeptScene()
+    live = LiveScene(kept, episode)
+    live.show(SUBSTEPS * STEPS)
+    visible = [kept.nodes[f"/belief/{i}"].visible for i in range(5)]
+    assert visible == [True, True, True, False, False]
+    opacity = [kept.nodes[f"/belief/{i}"].opacity for i in range(3)]
+    np.testing.assert_allclose(opacity, 0.35 * EXISTENCE[[0, 1, 3]])
+    for i in range(3):
+        np.testing.assert_allclose(kept.nodes[f"/target/{i}"].position[:2], episode.truth[-1, i])
+    plan = kept.nodes["/undetected"]
+    assert plan.image.shape == (3 * PIXELS, 2 * PIXELS, 3), "rows along y, which viser draws from the first on"
+    np.testing.assert_array_equal(plan.position[:2], [0.0, -1.5])
+    dark = plan.image[::PIXELS, ::PIXELS].sum(axis=-1) < 3 * 255
+    np.testing.assert_array_equal(dark, [[False, True], [False, False], [False, False]])
+    assert facts(episode, SUBSTEPS * STEPS)["confirmed tracks"] == "2"
+
+
+class KeptScene:
+    """A scene of viser without a server: every node keeps the numbers that it is given."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, SimpleNamespace] = {}
+
+    def __getattr__(self, name: str):
+        def add(path: str = "", *arrays, **options) -> SimpleNamespace:
+            node = SimpleNamespace(points=arrays[0] if arrays else None, colors=arrays[1] if len(arrays) > 1 else None)
+            node.__dict__.update(options)
+            return self.nodes.setdefault(path, node)
+
+        return add

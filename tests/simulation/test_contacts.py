@@ -1,5 +1,6 @@
 """A step ends at its first contact: never inside of an obstacle and never through one, by shapely on the arcs."""
 
+import functools
 from dataclasses import replace
 
 import jax
@@ -19,10 +20,11 @@ from foveate.policies.heuristics import Random, Still
 from foveate.scenario.agent import DifferentialDrive, Quadrotor
 from foveate.scenario.field_of_view import BallView
 from foveate.scenario.obstacles import ShapeObstacles
-from foveate.scenario.random_obstacles import CircleObstacles, ForestObstacles
+from foveate.scenario.random_obstacles import CircleObstacles, ForestObstacles, RoomObstacles
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
+from foveate.scenario.starts import start_box
 from foveate.scenario.target import VelocityTarget
 from foveate.simulation.records import SURROGATE, TRUE
 from foveate.simulation.rollout import log_dets
@@ -102,6 +104,116 @@ def test_targets_go_around_and_come_on():
         moved.append(np.linalg.norm(np.diff(places, axis=0), axis=-1).mean())
     assert np.mean(moved) > 0.3
     assert not np.asarray(trace.contacts).any()
+
+
+def arcs(pose, twist, tau, count=120):
+    """Places (.., count + 1, d) of a body with a constant twist in its frame and a yaw rate, by the midpoint rule."""
+    d = twist.shape[-1] - 1
+    yaw = pose[..., -1, None] + twist[..., -1, None] * tau * (np.arange(count) + 0.5) / count
+    x, y = twist[..., 0, None], twist[..., 1, None]
+    parts = [x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw)]
+    parts += [np.broadcast_to(twist[..., i, None], yaw.shape) for i in range(2, d)]
+    steps = np.concatenate([np.zeros((*yaw.shape[:-1], 1, d)), np.cumsum(np.stack(parts, -1), -2) * tau / count], -2)
+    return pose[..., None, :d] + steps
+
+
+def section(settings, box, number=0):
+    """The obstacles of a map as shapely has them, in the horizontal section of those in space."""
+    shapes = settings.shapes_in(np.random.default_rng([0, False, number]), *np.array(box))
+    rings = [shapely.Polygon(s.corners) if len(s.corners) > 1 else shapely.Point(s.corners[0]) for s in shapes]
+    return shapely.union_all([ring.buffer(s.radius, 256) for ring, s in zip(rings, shapes, strict=True)])
+
+
+ROOMS = RoomObstacles(maps=1, test_maps=0, room_m=4.0, robot_radius_m=0.25)
+WOOD = ForestObstacles(
+    maps=1, test_maps=0, density_per_m2=0.04, radius_m=(0.8, 1.2), height_m=(8.0, 9.0), robot_radius_m=0.25
+)
+AIR = replace(HALL, centre_m=(0.0, 0.0, 3.0), half_side_m=(8.0, 8.0, 1.5), drift_m_s=(0.0,) * 3)
+FLYER = Quadrotor(v_max_m_s=8.0, climb_max_m_s=0.5, yaw_rate_max_rad_s=2.0)
+
+
+@functools.cache
+def world(kind: str) -> Scenario:
+    if kind == "rooms":
+        return Scenario(agent=FAST, scenes=HALL, obstacles=ROOMS)
+    view = BallView(radius_m=2.0, center_m=(1.0, 0.0, 0.0))
+    return Scenario(agent=FLYER, view=view, scenes=AIR, obstacles=WOOD)
+
+
+@pytest.mark.parametrize("kind", ["rooms", pytest.param("forest", marks=pytest.mark.slow)])
+def test_no_step_ends_in_an_obstacle_or_leads_through_one(kind):
+    """200 robots of random actions, 12 steps each: arcs by the midpoint rule, walls and trunks by shapely."""
+    scenario = world(kind)
+    problem, box, tau = scenario.problem(), start_box(scenario.scenes, None), scenario.tau_s
+    agent, walls, d, rng = problem.agent, section(scenario.obstacles, box), scenario.dimension, np.random.default_rng(0)
+    places = rng.uniform(*np.array(box), (2000, d))
+    free = shapely.distance(walls, shapely.points(places[:, :2])) > 0.25 + 2.5 * scenario.obstacles.resolution_m
+    places, yaws = places[free][:200], rng.uniform(-3, 3, 200)
+    begin = jax.vmap(agent.space.upright)(jnp.asarray(places), jnp.asarray(yaws))
+    actions = jnp.asarray(rng.uniform(-1, 1, (12, 200, len(agent.axes))))
+
+    @jax.jit
+    def play(poses, actions):
+        def step(poses, actions):
+            def one(pose, action):
+                return problem.among_obstacles(pose, action, agent.move(pose, action, problem.tau))
+
+            after, touches = jax.vmap(one)(poses, actions)
+            return after, (poses, after, jax.vmap(agent.twist)(actions), touches)
+
+        return jax.lax.scan(step, poses, actions)[1]
+
+    before, after, twists, touches = play(begin, actions)
+    planar = scenario.dimension == 2
+    position = np.asarray(after[..., :2] if planar else after[..., :3, 3])
+    start = np.asarray(before[..., :2] if planar else before[..., :3, 3])
+    yaw = np.asarray(before[..., 2] if planar else jnp.arctan2(before[..., 1, 0], before[..., 0, 0]))
+    twists = np.asarray(twists)
+    ways = arcs(
+        np.concatenate([start, yaw[..., None]], -1), np.concatenate([twists[..., :d], twists[..., -1:]], -1), tau
+    )
+    last = np.linalg.norm(ways - position[..., None, :], axis=-1).argmin(axis=-1)[..., None, None]
+    ways = np.where(np.arange(ways.shape[-2])[:, None] < last, ways, position[..., None, :])
+    # Between the ends of the trunks: what is above or below them is not in the section.
+    low = -np.inf if planar else box[0][2]
+    inside = np.ones(ways.shape[:2], bool) if planar else (ways[..., 2] > low).all(axis=-1)
+    assert inside.mean() > 0.3
+    lines = shapely.linestrings(ways[inside][..., :2])
+    assert shapely.distance(walls, lines).min() >= 0.25 - 1e-3
+    assert 100 < np.asarray(touches).sum() < 0.9 * touches.size
+    assert np.linalg.norm(position[-1] - start[0], axis=-1).mean() > 1.0
+
+
+def test_trunks_hide_and_end_rays_where_shapely_says():
+    """In the horizontal section: lines that pass by more than a cell are free, that cut in by more are blocked."""
+    problem, box, rng = world("forest").problem(), start_box(AIR, None), np.random.default_rng(1)
+    obstacles, walls, cell = problem.obstacles, section(WOOD, box), WOOD.resolution_m
+    ends = rng.uniform(*np.array(box), (2, 1500, 3))
+    ends[..., 2] = rng.uniform(2.2, 4.5, (2, 1500))
+    lines = shapely.linestrings(np.moveaxis(ends[..., :2], 0, 1))
+    seen = np.asarray(
+        jax.jit(jax.vmap(lambda eye, point: obstacles.sees(eye, point[None], jnp.array([True]))[0]))(*ends)
+    )
+    clear, cut = (~shapely.intersects(walls.buffer(cell), lines), shapely.intersects(walls.buffer(-cell), lines))
+    assert seen[clear].all()
+    assert not seen[cut].any()
+    assert min(clear.sum(), cut.sum()) > 100
+
+    angles, eyes = (
+        2 * np.pi * np.arange(24) / 24,
+        ends[0][shapely.distance(walls, shapely.points(ends[0][:, :2])) > cell],
+    )
+    directions = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    rays = jnp.asarray(directions)
+    poses = jax.vmap(problem.agent.space.upright)(jnp.asarray(eyes[:100]), jnp.zeros(len(eyes[:100])))
+    found = np.asarray(jax.jit(jax.vmap(lambda T: obstacles.ranges(problem.agent.space, T, rays, 6.0)))(poses))
+    starts = np.broadcast_to(eyes[:100, None, :2], (*found.shape, 2))
+    lines = shapely.linestrings(np.stack([starts, starts + 6.0 * directions[:, :2]], axis=2))
+    met = shapely.intersection(lines, walls)
+    expected = np.where(shapely.is_empty(met), 6.0, shapely.distance(shapely.points(starts), met))
+    assert (found <= expected + 1e-6).all()
+    assert np.median(expected - found) < 2 * cell
+    assert np.ptp(found) > 3.0
 
 
 def test_a_drifting_target_is_turned_by_a_wall_and_its_input_too():

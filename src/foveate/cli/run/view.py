@@ -28,7 +28,8 @@ def run(options: View) -> int:
 
 
 def _source(options: View) -> EpisodeSource:
-    subject, methods = subject_of(options.run), methods_from(options.method)
+    subject = subject_of(options.run)
+    methods = methods_from(options.method, subject.experiment.scenario.detections is None)
     if options.recording is None:
         noise = (options.protocol, options.seed, options.scene_seed)
         return simulated(subject, options.scenes, options.scene, methods, *noise)

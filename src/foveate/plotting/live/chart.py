@@ -9,7 +9,10 @@ from foveate.io.figures import BLACK, GREY
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
 from foveate.plotting.live.scene import add_line, segments, set_segments
 
-LEGEND = "beliefs (95 %): green, thick: detected; orange, thin: not detected; black: true targets"
+LEGEND = (
+    "beliefs (95 %): green, thick: detected, or a confirmed track; orange, thin: not; black: true targets; purple: "
+    "targets expected but never detected"
+)
 CURVES = "log det [nat]: targets (grey), mean (black)"
 MAX_CURVES = 20
 """With more targets, only the mean is drawn."""
@@ -34,6 +37,7 @@ def facts(data: EpisodeData, moment: int) -> dict[str, str]:
     """Time, step, score so far, targets detected, share of time in view, and, where all stay, targets ever detected."""
     k = moment // SUBSTEPS
     score = data.mean_log_det[k - 1] if k else np.nan
+    tracks = data.tracks
     values = {
         "time": f"{data.time_at(moment):.1f} of {data.times_s[-1]:.1f} s",
         "step": f"{k} of {data.steps}",
@@ -41,8 +45,12 @@ def facts(data: EpisodeData, moment: int) -> dict[str, str]:
         "detected now": f"{data.seen_at(k).sum()} of {data.present[k].sum()}",
         "in view": f"{data.seen_share_until(k):.0%}",
     }
+    if tracks is not None:
+        values["score so far"] = "-"
+        values["confirmed tracks"] = f"{tracks.confirmed[k].sum()}"
+        values["expected targets"] = f"{tracks.expected[k]:.1f}"
     # Where targets come and go, several may share a column: their number would not be that of targets.
-    if data.present.all():
+    elif data.present.all():
         values["ever detected"] = f"{data.visible[:k].any(axis=0).sum()} of {data.targets}"
     return values
 

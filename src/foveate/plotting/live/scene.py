@@ -7,17 +7,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from foveate.geometry.numpy_poses import rotation
-from foveate.io.figures import BLACK, GREY, SKY
+from foveate.io.figures import BLACK, GREY, PURPLE, SKY
 from foveate.plotting.ellipsoids import CIRCLE, box_lines, faces, is_closed, lifted, principal_axes
-from foveate.plotting.episode_data import TRAIL_STEPS, EpisodeData
+from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData
 from foveate.plotting.scene import AGENT, BORDER, SEEN, UNSEEN
 from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
 from foveate.plotting.snapshot import snapshot
+from foveate.plotting.undetected import DARKEST
 from foveate.plotting.walls import WALL, loops
 
 LAYER = 0.01
@@ -25,6 +26,9 @@ LAYER = 0.01
 
 MAX_NAMES = 20
 """With more targets, none has its number beside it: they would cover the scene."""
+
+PIXELS = 8
+"""Pixels along the side of a cell of undetected targets."""
 
 NO_SEGMENTS = np.zeros((1, 2, 3))
 """Line of no length: viser accepts no empty one."""
@@ -124,6 +128,7 @@ class LiveScene:
         # Shadows show heights.
         scene.configure_default_lights(cast_shadow=not planar)
         self._floor(extent)
+        self._map, self._pictures = _map(scene, data, float(self.box[0, 2]) - 0.0005 * extent)
         if data.walls is not None:
             add_line(scene, "/walls", WALL, 2.5, np.concatenate([segments(lifted(loop)) for loop in loops(data.walls)]))
         self._agent = scene.add_frame("/agent", show_axes=False)
@@ -176,6 +181,8 @@ class LiveScene:
         set_segments(self._path, [segments(lifted(state.path, 2 * layer))])
         tracks = np.where(state.tracked[..., None], state.tracks, np.nan)
         set_segments(self._trails, [segments(lifted(track, layer)) for track in tracks.swapaxes(0, 1)])
+        if self._map is not None:
+            self._map.image = self._pictures[moment // SUBSTEPS]
         mean, truth = lifted(state.estimate, 4 * layer), lifted(state.truth, 5 * layer)
         for i, bodies in enumerate(zip(self._beliefs, self._borders, self._means, strict=True)):
             belief, border, estimate = bodies
@@ -199,6 +206,26 @@ class LiveScene:
                     each.position = truth[i]
             for name in self._names[i : i + 1] if i < len(truth) else ():
                 name.text = f"{state.columns[i] + 1}"
+
+
+def _map(scene: Any, data: EpisodeData, height_m: float) -> tuple[Any, UInt8[np.ndarray, "instants y x 3"]]:
+    """Lay the map of undetected targets on the floor, if there is one; return it, and its pictures over time.
+
+    The more targets are expected in a cell, or above it, the darker it is.
+    """
+    tracks = data.tracks
+    if tracks is None or tracks.undetected is None:
+        return None, np.zeros((0, 0, 0, 3), np.uint8)
+    cells, (low, high) = tracks.undetected, tracks.box
+    number = cells if cells.ndim == 3 else cells.sum(axis=-1)
+    level = np.swapaxes(number, 1, 2)[..., None] / max(float(number.max()), 1e-12)
+    pictures = (255 + DARKEST * level * (np.array(color(PURPLE)) - 255)).astype(np.uint8)
+    middle = (*(0.5 * (low + high))[:2], height_m)
+    width, depth = (float(side) for side in (high - low)[:2])
+    # Cells keep sharp borders: browsers blend the pixels of small pictures.
+    pictures = pictures.repeat(PIXELS, axis=1).repeat(PIXELS, axis=2)
+    plain = {"format": "png", "cast_shadow": False, "receive_shadow": False}
+    return scene.add_image("/undetected", pictures[0], width, depth, position=middle, **plain), pictures
 
 
 def aim_cameras(server: Any, scene: LiveScene) -> None:

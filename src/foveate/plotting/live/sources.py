@@ -11,7 +11,6 @@ from foveate.errors import InputError
 from foveate.evaluation.evaluate import prepare
 from foveate.experiment.resolve import Subject, methods_of, scenes_of
 from foveate.io.records import suggestion
-from foveate.names import METHODS
 from foveate.plotting.episode_data import EpisodeData, suite_data
 from foveate.plotting.live.player import EpisodeSource
 from foveate.plotting.replay import replay_data
@@ -24,11 +23,12 @@ from foveate.recordings.starts import default_agent_start
 from foveate.scenario.scenes import Scene
 
 
-def methods_from(first: str | None) -> tuple[str, ...]:
-    """All methods, `first` at the beginning."""
+def methods_from(first: str | None, has_ids: bool = True) -> tuple[str, ...]:
+    """All methods, `first` at the beginning; those that search are of detections without ids."""
+    everything = methods_of("all", has_ids)
     if first == "all":
-        raise InputError(f"method all: expected one of {', '.join(METHODS)}, to begin with")
-    return METHODS if first is None else tuple(dict.fromkeys((*methods_of(first), *METHODS)))
+        raise InputError(f"method all: expected one of {', '.join(everything)}, to begin with")
+    return everything if first is None else tuple(dict.fromkeys((*methods_of(first), *everything)))
 
 
 def simulated(
