@@ -1,6 +1,6 @@
 """Measure the heuristics in benchmarks/worlds/regions.toml: GOSPA, its parts, and the time of a decision.
 
-python experiments/regions.py --scenes 1000
+python experiments/regions.py --scenes 1000 [--run RUN]
 """
 
 import argparse
@@ -10,6 +10,7 @@ import numpy as np
 
 from foveate.evaluation.evaluate import evaluate, prepare
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.resolve import load
 from foveate.io.toml import load_toml
 from foveate.planning.named import heuristic_in
 from foveate.simulation.suites import SUITE_SEED, Cell, suite
@@ -23,14 +24,18 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--scenes", type=int, default=1000)
     options.add_argument("--method", nargs="+", default=METHODS)
+    options.add_argument("--run", help="run folder of a policy that was trained there")
     given = options.parse_args()
 
     scenario = load_toml(Experiment, WORLD).scenario
     problem = scenario.problem()
     scenes = suite(scenario.scenes, problem, SUITE_SEED, [Cell(1, True)], given.scenes)
     prepared, first = prepare(problem, scenario.scenes, scenes), None
-    for name in given.method:
-        rows = evaluate(prepared, name, heuristic_in(scenario, name), ("true",))
+    policies = {name: heuristic_in(scenario, name) for name in given.method}
+    if given.run:
+        policies["policy"] = load(given.run)[1]
+    for name, policy in policies.items():
+        rows = evaluate(prepared, name, policy, ("true",))
         parts = ("gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped")
         found = np.array([[getattr(row, part) for part in parts] for row in rows])
         first = found if first is None else first

@@ -56,7 +56,6 @@ def or_null(predicate: Predicate) -> Predicate:
 PROTOCOL, MOTION = one_of("surrogate", "true"), one_of("unbiased", "biased")
 SEEN = {"seen_fraction": is_share, "longest_unseen_s": is_size}
 ERRORS = {"rmse_m": is_size, "nees": is_size, "step_time_s": is_size}
-OF_TRACKS = ("rmse_m", "nees", "log_det_mean")
 EVALUATION_ROW = {
     "scene": is_name,
     "seed": is_count,
@@ -120,13 +119,7 @@ def list_faults(data: dict, name: str, check: Callable[[str, Any], list[str]]) -
 
 
 def rows_of(fields: dict[str, Predicate]) -> Callable[[str, Any], list[str]]:
-    """Faults of a row; without ids, which a row with `gospa` tells, there may be no confirmed track that errs."""
-    without_ids = {key: or_null(holds) if key in OF_TRACKS else holds for key, holds in fields.items()}
-
-    def check(place: str, row: Any) -> list[str]:
-        return record_faults(place, row, without_ids if isinstance(row, dict) and "gospa" in row else fields)
-
-    return check
+    return lambda place, row: record_faults(place, row, fields)
 
 
 def scene_faults(place: str, scene: Any) -> list[str]:

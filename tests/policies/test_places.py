@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from helpers.worlds_of_detections import HALL
 from policies.test_search import PROBLEM, expecting, seen, tracking  # noqa: F401
 
 from foveate.errors import InputError
+from foveate.policies.lookahead import LookAhead
 from foveate.policies.places import PLACES, token_count, with_places
 from foveate.policies.pointer import PointerSettings
 from foveate.policies.tokens import SEARCH_FEATURES, token_size, tokens_of
@@ -18,36 +18,47 @@ from foveate.policies.tokens import SEARCH_FEATURES, token_size, tokens_of
 TRACKS = PROBLEM.detections.tracks
 
 
-def test_the_best_places_follow_the_tracks(seen):  # noqa: F811
-    """A track of 0.9, and 2 targets expected in a corner: the first place is the nearest that has both in reach."""
-    found = eqx.filter_jit(with_places)(tracking(expecting(seen, {(7, 7): 2.0}), 3.0, 0.9, 2.0))
+@pytest.fixture(scope="module")
+def decisions():
+    """What a policy is told, and its decision untrained, beside those of the look-ahead: one program for all tests."""
+    policy = PointerSettings().policy(PROBLEM, jax.random.key(0), "gospa")
+    planner, key = LookAhead(PROBLEM), jax.random.key(1)
+
+    @jax.jit
+    def of(observation):
+        searched = with_places(observation)
+        tokens = searched.told(tokens_of(searched.observation, "gospa", True))
+        return searched, tokens, planner.goals(observation), policy(observation, (), key)[0]
+
+    return of
+
+
+def test_the_best_places_follow_the_tracks(seen, decisions):  # noqa: F811
+    """A track of 0.9, and 2 targets expected in a corner: the first place is that with the best way."""
+    found, _, goals, _ = decisions(tracking(expecting(seen, {(7, 7): 2.0}), 3.0, 0.9, 2.0))
     assert found.observation.mean.shape == (TRACKS + PLACES, 4)
     assert found.observation.present.tolist() == [True] + [False] * (TRACKS - 1) + [True] * PLACES
     np.testing.assert_allclose(found.features[:, 0], [0.0] * TRACKS + [1.0] * PLACES)
-    np.testing.assert_allclose(found.features[[0, TRACKS], 1], [0.9, 2.0])
-    place = found.observation.mean[TRACKS]
-    assert np.hypot(*(place[:2] - 8.75)) <= 4.0
-    np.testing.assert_array_equal(place[2:], 0.0)
-    assert (np.diff(found.log_worth[TRACKS:]) <= 0).all()
+    assert float(found.features[0, 1]) == pytest.approx(0.9)
+    cost = np.sort(np.asarray(goals.cost)[TRACKS:])[:PLACES]
+    np.testing.assert_allclose(found.cost[TRACKS:], cost - np.min(goals.cost), atol=1e-9)
+    best = np.argmin(np.asarray(goals.cost)[TRACKS:])
+    np.testing.assert_allclose(found.observation.mean[TRACKS], [*goals.position_world[TRACKS + best], 0.0, 0.0])
+    assert float(found.features[TRACKS, 1]) == pytest.approx(float(goals.number[best]))
 
 
-def test_tokens_have_the_features_in_front(seen):  # noqa: F811
-    plain = jax.eval_shape(lambda seen: tokens_of(replace(seen, undetected=None), "terminal", True), seen)
-
-    def told(seen):
-        searched = with_places(seen)
-        return searched.told(tokens_of(searched.observation, "gospa", True))
-
-    tokens = jax.eval_shape(told, seen)
+def test_tokens_have_the_features_in_front(seen, decisions):  # noqa: F811
+    tokens = decisions(seen)[1]
     assert tokens.features.shape == (token_count(PROBLEM, 3), token_size(PROBLEM))
-    assert token_size(PROBLEM) == plain.features.shape[1] + SEARCH_FEATURES
+    np.testing.assert_array_equal(tokens.features[TRACKS:, 0], 1.0)
+    assert token_size(PROBLEM) == token_size(replace(PROBLEM, detections=None)) + SEARCH_FEATURES
     assert token_count(replace(PROBLEM, detections=None), 3) == 3
 
 
-def test_an_untrained_policy_goes_where_targets_are_expected(seen):  # noqa: F811
-    policy = PointerSettings().policy(PROBLEM, jax.random.key(0), "gospa")
+def test_an_untrained_policy_decides_as_the_look_ahead(seen, decisions):  # noqa: F811
     for cell, sign in (((4, 7), 1.0), ((4, 0), -1.0)):
-        action, _ = eqx.filter_jit(policy)(expecting(seen, {cell: 3.0}), (), jax.random.key(1))
+        _, _, goals, action = decisions(expecting(seen, {cell: 3.0}))
+        np.testing.assert_allclose(action, np.clip(goals.action[np.argmin(goals.cost)], -1, 1), atol=0.05)
         assert np.sign(action[1]) == sign
 
 

@@ -9,6 +9,14 @@ SPECIAL = (
 )
 """Fields of rows and summaries that only worlds of a kind have: obstacles, detections without ids, teams."""
 
+NUMBERS = ("rmse_m", "nees", "log_det_mean")
+"""Fields of rows that are numbers in every file."""
+
+
+def with_numbers(record: dict[str, Any]) -> dict[str, Any]:
+    """A row's record with 0 for the errors of no track: the format of the files knows no null there."""
+    return {name: 0.0 if name in NUMBERS and value is None else value for name, value in record.items()}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
@@ -33,7 +41,8 @@ class Row(Recorded):
 
     With detections without ids, `score` is minus `gospa`, the mean GOSPA over the steps [m], whose parts are means too;
     errors and `nees` are those of confirmed tracks, each against the target that GOSPA pairs with it at the horizon,
-    None where it pairs none, and `dropped` counts detections and tracks for which there was no room. None with ids.
+    None (0 in a file) where it pairs none, and `dropped` counts detections and tracks for which there was no room. All
+    None with ids.
 
     Of a team of `agents` robots the beliefs are those of one filter that hears every measurement at once.
     `worst_score` and `worst_objective` are the least that the own beliefs of any robot give, `members_nees` is the mean
@@ -70,3 +79,7 @@ class Row(Recorded):
     worst_score: float | None = None
     worst_objective: float | None = None
     members_nees: float | None = None
+
+    def record(self) -> dict[str, Any]:
+        """All fields as plain values; those of worlds of a kind only there, and 0 for the errors of no track."""
+        return with_numbers(super().record())

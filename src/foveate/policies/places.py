@@ -1,4 +1,7 @@
-"""Places where undetected targets are expected, as entries beside the tracks: a network can point at them, too."""
+"""Places where undetected targets are expected, as entries beside the tracks: a network can point at them, too.
+
+What it is told of each is what the look-ahead expects of the way there, and so its first preference is the look-ahead.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -9,33 +12,31 @@ from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.models.problem import Problem
-from foveate.policies.search import Alternate
+from foveate.policies.lookahead import LookAhead
 from foveate.policies.tokens import Tokens
 from foveate.simulation.records import Observation
 
 PLACES = 12
-"""Number of places that a network is told of: those most worth a look."""
-LEAST_WORTH = 1e-3
-"""A look that is worth less [targets] is worth nothing."""
-PREFERENCE = 2.0
-"""First log weight of a token for each unit of the logarithm of its worth."""
+"""Number of places that a network is told of: those with the best ways."""
+PREFERENCE = 3.0
+"""First log weight lost for each target that the way to another goal is expected to leave less of."""
 
 
 class Searched(NamedTuple):
-    """An observation with places behind its tracks, further `features` of all these, and the logarithm of their worth.
+    """An observation with places behind its tracks, further `features` of all these, and what their ways cost.
 
-    The features are 1 for a place, the existence of a track or the expected number of targets near a place, and the
-    logarithm.
+    The features are 1 for a place, the existence of a track or the expected number of undetected targets at a place,
+    and the scaled cost; `cost` [targets] is that of `LookAhead`, more than that of the best.
     """
 
     observation: Observation
     features: Float[Array, "n features"]
-    log_worth: Float[Array, " n"]
+    cost: Float[Array, " n"]
 
     def told(self, tokens: Tokens) -> Tokens:
-        """The tokens of the observation with these features in front; what a look is worth has the price of the way."""
+        """The tokens of the observation with these features in front; a cost includes the length of the way."""
         features = jnp.concatenate([self.features, tokens.features], axis=-1)
-        urgency = jnp.stack([-PREFERENCE * self.log_worth, jnp.zeros_like(self.log_worth)], axis=-1)
+        urgency = jnp.stack([PREFERENCE * self.cost, jnp.zeros_like(self.cost)], axis=-1)
         return tokens._replace(features=jnp.where(tokens.present[:, None], features, 0.0), urgency=urgency)
 
 
@@ -47,26 +48,27 @@ def with_places(observation: Observation) -> Searched:
     problem = None if observation.robot is None else observation.robot.problem
     if observation.undetected is None or observation.existence is None or problem is None:
         raise InputError("observation.undetected = None: expected that of detections without ids, for this policy")
-    rule, motion = Alternate(problem, 0.0), problem.motion
-    number, worth, position_world = rule.places(observation)
-    best, chosen = jax.lax.top_k(worth, min(PLACES, len(worth)))
-    count, means = len(best), jax.vmap(motion.state_at)(position_world[chosen])
+    goals, motion, tracks = LookAhead(problem).goals(observation), problem.motion, observation.present.shape[0]
+    best, chosen = jax.lax.top_k(-goals.cost[tracks:], min(PLACES, len(goals.number)))
+    count, means = len(best), jax.vmap(motion.state_at)(goals.position_world[tracks:][chosen])
     prior = jnp.broadcast_to(problem.prior_information, (count, *problem.prior_information.shape))
-    existence = jnp.concatenate([jnp.where(observation.present, observation.existence, 0.0), number[chosen]])
-    worth = jnp.concatenate([rule.saved(observation), best])
-    log_worth = jnp.log(worth + LEAST_WORTH)
-    is_place = jnp.arange(len(worth)) >= len(observation.present)
+    present = jnp.concatenate([observation.present, jnp.ones(count, bool)])
+    cost = jnp.concatenate([goals.cost[:tracks], -best])
+    cost = jnp.where(present, cost - jnp.min(cost), 0.0)
+    existence = jnp.where(observation.present, observation.existence, 0.0)
+    existence = jnp.concatenate([existence, goals.number[chosen]])
     nothing = jnp.zeros((count, observation.known_input.shape[1]), observation.known_input.dtype)
     more = replace(
         observation,
         mean=jnp.concatenate([observation.mean, means]),
         information=jnp.concatenate([observation.information, prior]),
-        present=jnp.concatenate([observation.present, jnp.ones(count, bool)]),
+        present=present,
         known_input=jnp.concatenate([observation.known_input, nothing]),
         existence=existence,
     )
-    features = jnp.stack([is_place.astype(existence.dtype), existence, log_worth / 3.0], axis=-1)
-    return Searched(more, features, log_worth)
+    is_place = jnp.arange(len(cost)) >= tracks
+    features = jnp.stack([is_place.astype(existence.dtype), existence, jnp.log1p(cost)], axis=-1)
+    return Searched(more, features, cost)
 
 
 def token_count(problem: Problem, targets: int) -> int:

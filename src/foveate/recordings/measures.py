@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from foveate.evaluation import metrics
 from foveate.evaluation.gospa import mean_gospa, pairs
 from foveate.evaluation.metrics import mean_or_none, mean_or_zero
+from foveate.evaluation.rows import with_numbers
 from foveate.models.detections.records import DetectionModel
 from foveate.models.problem import Problem
 from foveate.recordings.recording import Slots
@@ -65,9 +66,9 @@ class ReplayRow:
     in_obstacles: int | None = None
 
     def record(self) -> dict[str, Any]:
-        """All fields as plain values; those of detections without ids only there."""
+        """All fields as plain values; those of detections without ids only there, and 0 for the errors of no track."""
         left_out = OF_DETECTIONS if self.gospa is None else ()
-        return {name: value for name, value in asdict(self).items() if name not in left_out}
+        return with_numbers({name: value for name, value in asdict(self).items() if name not in left_out})
 
 
 @dataclass(frozen=True, kw_only=True)

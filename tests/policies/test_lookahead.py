@@ -8,7 +8,7 @@ import pytest
 from helpers.worlds_of_detections import HALL
 from policies.test_search import PROBLEM, expecting, seen, tracking  # noqa: F401
 
-from foveate.planning.lookahead import LookAhead, _of_undetected, errors_ahead
+from foveate.policies.lookahead import LookAhead, _of_undetected, errors_ahead
 
 
 @pytest.fixture

@@ -43,6 +43,18 @@ class Errors(NamedTuple):
     position_world: Float[Array, "steps n d"]
 
 
+class Goals(NamedTuple):
+    """Where ways lead to: the tracks, and then coarse places [m], with the expected cost [targets] and first action.
+
+    `number` is that of the undetected targets expected at each of the places. Padding costs infinity.
+    """
+
+    position_world: Float[Array, "goals d"]
+    cost: Float[Array, " goals"]
+    action: Float[Array, "goals m"]
+    number: Float[Array, " places"]
+
+
 class LookAhead(Policy):
     """Takes the first action of the way that leaves the least expected GOSPA."""
 
@@ -52,15 +64,20 @@ class LookAhead(Policy):
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The first action to the best of places and tracks."""
+        goals = self.goals(observation)
+        return goals.action[jnp.argmin(goals.cost)], memory
+
+    def goals(self, observation: Observation) -> Goals:
+        """All tracks and places, with the costs of the ways to them."""
         problem = self.problem.at(observation.step).of_map(observation.map_number)
         model, cells = detections_of(problem, observation)
-        places = undetected_of(model, cells, GOALS[len(model.grid.shape)]).position_world
-        goals = jnp.concatenate([problem.motion.position(observation.mean), places])
+        places = undetected_of(model, cells, GOALS[len(model.grid.shape)])
+        goals = jnp.concatenate([problem.motion.position(observation.mean), places.position_world])
         poses, first = jax.vmap(lambda goal: _way(problem, observation.pose, goal, self.steps))(goals)
         errors = errors_ahead(problem, observation, self.steps)
         cost = jax.vmap(lambda way: self.cost(problem, observation, errors, way))(poses)
-        may = jnp.concatenate([observation.present, jnp.ones(len(places), bool)])
-        return first[jnp.argmin(jnp.where(may, cost, jnp.inf))], memory
+        may = jnp.concatenate([observation.present, jnp.ones(len(places.number), bool)])
+        return Goals(goals, jnp.where(may, cost, jnp.inf), first, places.number)
 
     def cost(self, problem: Problem, observation: Observation, errors: Errors, way: Pose) -> Float[Array, ""]:
         """Expected cost over the steps of a way, and the tail [targets]."""
