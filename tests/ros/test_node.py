@@ -12,6 +12,7 @@ import pytest
 from helpers.ros import PLANE, Watched, detections, odometry
 
 from foveate.errors import InputError
+from foveate.experiment.presets import PRESETS
 from foveate.ros import node as module
 from foveate.ros.messages import Messages
 from foveate.ros.node import Driver, main, topic_name
@@ -108,6 +109,13 @@ def test_parameters_reach_the_core(watched):
     driver.step()
     (stamped,) = node.sent["cmd_vel"]
     assert (stamped.header.frame_id, stamped.twist.linear.x) == ("base_link", 1.0)
+
+
+def test_a_policy_of_random_maps_asks_for_the_robots_own(monkeypatch):
+    rooms = Watched(PRESETS["rooms"].scenario)
+    monkeypatch.setattr(module, "load_model", lambda name: rooms.core.model)
+    with pytest.raises(InputError, match="map_topic = '': expected the topic of the robot's map"):
+        Driver(Node(policy="rooms"), find, "qos")
 
 
 def test_a_map_is_waited_for_and_taken(watched):

@@ -70,14 +70,18 @@ def test_without_its_map_the_robot_stands():
     assert core.decide(100.1).stopped == "no map yet"
     assert "map: its frame is 'map', that of the odometry 'odom'" in str(core.on_map(room("map")))
     assert core.decide(100.1).twist == (0.0,) * 6
+    assert core.on_map(room()) is None
+    assert core.decide(100.1).stopped == ""
+    core.on_odometry(odometry(10.0, frame="map"))  # the clock of a bag that begins again, and another frame
+    assert core.decide(10.0).stopped == "no map yet"
     flying = Watched(PRESETS["quadrotor"].scenario, ("vx", "vy", "vz", "wz"), (0.0,) * 4).core
     flying.on_odometry(odometry(100.0))
     assert flying.on_map(room()) == "map: a robot in space: expected one that drives, for a map of the plane"
 
 
-def message(cells, width, height, resolution=0.5, turn=0.0):
+def message(cells, width, height, resolution=0.5, turn=0.0, x=-1.0):
     """As nav_msgs/OccupancyGrid: rows from the origin up."""
-    place = SimpleNamespace(x=-1.0, y=2.0, z=0.0)
+    place = SimpleNamespace(x=x, y=2.0, z=0.0)
     turned = SimpleNamespace(x=0.0, y=0.0, z=np.sin(turn / 2), w=np.cos(turn / 2))
     origin = SimpleNamespace(position=place, orientation=turned)
     info = SimpleNamespace(resolution=resolution, width=width, height=height, origin=origin)
@@ -91,7 +95,11 @@ def test_cells_of_a_message_are_where_it_says():
     np.testing.assert_array_equal([*found.grid.low, *found.grid.high], [-1.0, 2.0, 0.5, 3.0])
     for wrong, line in (
         (message([0, 0], 3, 2), "map: 2 cells of 0.5 m: expected 3 x 2 cells"),
-        (message([0], 1, 1, resolution=0.0), "expected 1 x 1 cells, and a resolution > 0"),
+        (message([0], 1, 1, resolution=0.0), "expected 1 x 1 cells, at least one, and a finite resolution > 0"),
+        (message([0], 1, 1, resolution=np.inf), "a finite resolution > 0"),
+        (message([], 0, 0), "at least one"),
+        (message([0], 1, 1, x=np.nan), "map: its origin is nan, 2: expected finite numbers"),
+        (message([0], 1, 1, turn=np.nan), "map: its origin is turned"),
         (message([0], 1, 1, turn=0.1), "map: its origin is turned"),
     ):
         with pytest.raises(InputError, match=line):

@@ -1,5 +1,6 @@
 """A policy in an exported file, as every policy of foveate: it decides for a robot, in simulations and in replays."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -60,7 +61,10 @@ class ExportedNetwork(Policy):
         kinds = {"f": np.float32, "i": np.int64, "b": np.bool_}
         arrays = {name: np.asarray(x) for name, x in given.items()}
         batch = arrays["pose"].shape[: arrays["pose"].ndim - len(self.session.wanted["pose"])]
-        flat = {name: x.reshape(-1, *x.shape[len(batch) :]).astype(kinds[x.dtype.kind]) for name, x in arrays.items()}
+        flat = {
+            name: x.reshape(math.prod(batch), *x.shape[len(batch) :]).astype(kinds[x.dtype.kind])
+            for name, x in arrays.items()
+        }
         control = self.session.commands(flat)
         return control.reshape(*batch, control.shape[-1]).astype(jnp.result_type(float))
 

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.detections.expectation import capped
-from foveate.models.detections.filter import cell_detection
 from foveate.models.detections.records import DetectionModel
+from foveate.models.detections.visibility import cell_detection
 from foveate.models.problem import Problem
 from foveate.policies.search import detections_of, undetected_of
 from foveate.policies.steering import steer

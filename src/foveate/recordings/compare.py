@@ -168,9 +168,8 @@ def _judged(
     subjects: Sequence[Subject], recording: Recording, method: str | Sequence[str], given: _Given
 ) -> ReplayResult:
     """Replay the only subject, or the best of several on the part to choose on."""
-    has_ids = (
-        subjects[0].experiment.scenario.detections is None and given.detection_probability is given.clutter is None
-    )
+    have_ids = all(subject.experiment.scenario.detections is None for subject in subjects)
+    has_ids = have_ids and given.detection_probability is given.clutter is None
     methods = replay_methods(method, has_ids)
     if len(subjects) == 1:
         return _replayed(subjects[0], recording, methods, given)

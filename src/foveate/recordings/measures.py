@@ -32,7 +32,7 @@ class ReplayRow:
 
     With detections without ids `gospa` is the mean GOSPA over the steps [m] of the filter's confirmed tracks, whose
     parts are means too; `log_det_mean`, `rmse_m`, `nees` and its band are those of the confirmed tracks that GOSPA
-    pairs with a target, over all steps, null where no track was ever paired; an error is then the distance to the
+    pairs with a target, over all steps, None (0 in a file) where none ever was; an error is then the distance to the
     nearest confirmed track for `lost`. `dropped` counts detections and tracks for which there was no room.
 
     `contacts` counts the agent's steps that an obstacle has ended, and `in_obstacles` the instants of targets that are

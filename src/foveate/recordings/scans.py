@@ -76,12 +76,13 @@ def _fitted(scenario: Scenario, recording: Recording, slots: Slots, most: int, g
     # Half an event more: what a recording does not show may be rare, but is not impossible.
     births = BirthSettings(rate=(begins + 0.5) / steps, low_m=low, high_m=high)
     base, alarms = DetectionSettings(low_m=around[0], high_m=around[1]), given.get("clutter", 0.0)
+    room = most + most_of(alarms) if 0 <= alarms < MAX_SLOTS else 0
     detections = _of(
         base,
         births=(births,),
         survival=1.0 - (ends + 0.5) / (int(there[:-1].sum()) + 1.0),
         tracks=min(max(2 * most + SPARE_TRACKS, base.tracks), MAX_SLOTS),
-        detections=min(max(most + most_of(alarms) if 0 <= alarms < MAX_SLOTS else 0, base.detections), MAX_SLOTS),
+        detections=min(max(room, base.detections), MAX_SLOTS),
         known=False,
         **given,
     )
@@ -90,7 +91,8 @@ def _fitted(scenario: Scenario, recording: Recording, slots: Slots, most: int, g
         targets_min=at_once,
         targets_max=at_once,
         centre_m=tuple(middle.tolist()),
-        half_side_m=tuple(half.tolist()),
+        # Of the recording alone, which a map that is given holds.
+        half_side_m=tuple(np.maximum((upper - lower) / 2, 1e-3).tolist()),
         half_side_per_target_m=0.0,
         known_drift=False,
         birth_and_death=False,

@@ -107,12 +107,13 @@ class Core:
         if matrix_of(message.position, message.quaternion) is None:
             return "odometry: its pose is not finite, or its quaternion is zero; it is left out"
         latest_s, problem = self._poses.latest_s, None
-        if latest_s is not None and message.time_s < latest_s - max(1.0, self.settings.lag_s):
-            problem = f"odometry: its clock went back by {latest_s - message.time_s:.3g} s; all beliefs are forgotten"
-            self._forget()
+        # The frame first: to forget is to forget the frame, too.
         if self._frame and message.frame != self._frame:
             problem = f"odometry: its frame was {self._frame}, and is {message.frame}; all beliefs are forgotten"
             self._walls = None
+            self._forget()
+        elif latest_s is not None and message.time_s < latest_s - max(1.0, self.settings.lag_s):
+            problem = f"odometry: its clock went back by {latest_s - message.time_s:.3g} s; all beliefs are forgotten"
             self._forget()
         self._frame, self._child = message.frame, message.child
         self._poses.add(message.time_s, message.position, message.quaternion)

@@ -6,7 +6,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import floor
+from math import floor, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -63,14 +63,18 @@ def detections_of_vision(message: Any) -> tuple[Detections, int]:
 def map_of(message: Any) -> Map:
     """Record of a nav_msgs/OccupancyGrid: occupied is all from 50 % on, and what is unknown (-1).
 
-    Raises InputError for a map without cells, of a wrong size, or turned.
+    Raises InputError for a map without cells, of a wrong size, with numbers that are not finite, or turned.
     """
     info, data = message.info, np.asarray(message.data, np.int16)
-    if not info.resolution > 0 or len(data) != info.width * info.height or not len(data):
+    if not 0 < info.resolution < inf or len(data) != info.width * info.height or not len(data):
         size = f"{len(data)} cells of {info.resolution:g} m"
-        raise InputError(f"map: {size}: expected {info.width} x {info.height} cells, and a resolution > 0")
+        right = f"expected {info.width} x {info.height} cells, at least one, and a finite resolution > 0"
+        raise InputError(f"map: {size}: {right}")
     origin, q = info.origin.position, info.origin.orientation
-    if max(abs(q.x), abs(q.y), abs(q.z)) > MAX_TURN:
+    if not isfinite(origin.x + origin.y):
+        raise InputError(f"map: its origin is {origin.x:g}, {origin.y:g}: expected finite numbers")
+    # Not `> MAX_TURN`, which is false of NaN.
+    if not all(abs(part) <= MAX_TURN for part in (q.x, q.y, q.z)):
         raise InputError("map: its origin is turned: expected a map along the axes of its frame")
     cells = data.reshape(info.height, info.width).T
     occupied = np.ascontiguousarray((cells < 0) | (cells >= 50))

@@ -61,6 +61,10 @@ class Driver:
         gate = gate if gate < 1.0 else None
         settings = CoreSettings(**values, sensor_pose=mount, gate=gate, needs_map=map_topic != "")
         self.core = Core(load_model(policy), settings)
+        obstacles = self.core.model.scenario.obstacles
+        if obstacles is not None and obstacles.map_counts != (1, 0) and not map_topic:
+            right = "expected the topic of the robot's map: the policy was trained among random ones"
+            raise InputError(f"map_topic = '': {right}")
         self._dimension = self.core.model.scenario.dimension
         self._connect(sensor_qos)
         if map_topic:

@@ -99,7 +99,8 @@ def consistency(comparison: Comparison, protocol: str) -> Table:
         unseen_s = np.mean([cell.longest_unseen_s for cell in summary])
         names = ("rmse_m", "rmse_seen_m", "rmse_unseen_m", "nees", "nees_seen", "nees_unseen")
         errors = (_mean([getattr(cell, name) for cell in summary]) for name in names)
-        outside = sum(_nees(cell.nees, cell.nees_band).endswith("*") for cell in summary)
+        found = [(cell.nees, cell.nees_band) for cell in summary if cell.nees is not None]
+        outside = sum(not low <= nees <= high for nees, (low, high) in found)
         seen = (f"{method.seen_fraction:.0%}", f"{step_fraction:.1%}", f"{unseen_s:.1f}")
         return [*seen, *errors, f"{outside} of {len(summary)}"]
 

@@ -13,14 +13,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.special import ndtr
 from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
+from foveate.models.detections import visibility
 from foveate.models.detections.association import Association, associate
 from foveate.models.detections.missed import Missed, detected_factors, look_in_vain
 from foveate.models.detections.records import NO_IDENTITY, DetectionModel, Look, Population, Scan, Tracks, empty_tracks
 from foveate.models.detections.slots import merged
+from foveate.models.detections.visibility import Measured
 from foveate.models.gate import one_point
 from foveate.models.problem import Problem
 from foveate.types import Pose
@@ -79,24 +80,31 @@ def update(problem: Problem, model: DetectionModel, population: Population, pose
     tracks = population.tracks
     missed = look_in_vain(problem, model, tracks, population.look, pose)
     pairs = _pairs(problem, model, tracks, pose)(scan)
-    points = problem.motion.position(_states(problem, scan))
-    chance = _chance(problem, model, pose, scan)
-    new, arrivals = _new_tracks(problem, model, population, pose, scan, chance)
+    measured = visibility.measured(problem, pose, scan)
+    sight = visibility.in_sight(problem, pose, measured)
+    new, arrivals = _new_tracks(problem, model, population, scan, measured)
+    # Of tracks, too, by the detection alone. Bayes has the track's own place after it; but a belief is not cut at the
+    # border when its target is detected, so that later misses cost too little, and of false alarms on both sides of the
+    # border tracks grew that followed nothing.
+    chance = sight * visibility.chance(problem, model, pose, measured.position_world, measured.std)
+    arrivals = arrivals * chance
 
     r = tracks.existence
     not_there, overlooked = 1.0 - r, r * jnp.maximum(1.0 - missed.detection, 1e-9)
-    there = detected_factors(problem, population.look, missed, points)
+    density = pairs.density * chance
+    density *= detected_factors(problem, population.look, missed, measured.position_world)
     clutter = model.clutter / model.view_volume
     found = associate(
         not_there + overlooked,
-        jnp.where(scan.valid, r[:, None] * chance * pairs.density * there, 0.0),
+        jnp.where(scan.valid, r[:, None] * density, 0.0),
         jnp.where(scan.valid, clutter + arrivals, 0.0),
     )
     still_there = found.missed * overlooked / (not_there + overlooked)
     kept = _mixture(tracks, missed, pairs, found, still_there)
-    share = arrivals / jnp.maximum(clutter + arrivals, jnp.finfo(arrivals.dtype).tiny)
+    # What cannot be a false alarm is a target, also where none was expected.
+    share = jnp.where(clutter > 0, arrivals / jnp.where(clutter > 0, clutter + arrivals, 1.0), 1.0)
     new = replace(new, existence=jnp.where(scan.valid, found.unclaimed * share, 0.0))
-    undetected = population.undetected * (1.0 - cell_detection(problem, model, pose))
+    undetected = population.undetected * (1.0 - visibility.cell_detection(problem, model, pose))
     next_look = Look(pose, found.missed > 0.5, missed.excess)
     return merged(problem, model, replace(population, undetected=undetected, look=next_look), kept, new)
 
@@ -126,7 +134,7 @@ def _mixture(
 
 def _pairs(problem: Problem, model: DetectionModel, tracks: Tracks, pose: Pose):
     """Function of a scan: all pairs of a track and a detection, by the sensor about each track's mean."""
-    H, V = problem.sensor.H, _noise(problem, pose, tracks.mean)
+    H, V = problem.sensor.H, visibility.noise(problem, pose, tracks.mean)
     cross = multiply(tracks.covariance, H.T)
     S = symmetrise(multiply(H, cross) + V)
     inverse = inverse_spd(S)
@@ -150,63 +158,16 @@ def _pairs(problem: Problem, model: DetectionModel, tracks: Tracks, pose: Pose):
 
 
 def _new_tracks(
-    problem: Problem,
-    model: DetectionModel,
-    population: Population,
-    pose: Pose,
-    scan: Scan,
-    chance: Float[Array, " m"],
+    problem: Problem, model: DetectionModel, population: Population, scan: Scan, measured: Measured
 ) -> tuple[Tracks, Float[Array, " m"]]:
-    """A track of every detection, by one-point initiation, and the density of detections of undetected targets."""
+    """A track of every detection, by one-point initiation, and the density of undetected targets that it may be of."""
     H, Z = problem.sensor.H, problem.motion.Z
-    V = _noise(problem, pose, _states(problem, scan))
-    begun = jax.vmap(one_point, (None, 0, None, 0))(problem.prior_information, scan.measurement, H, V)
+    begun = jax.vmap(one_point, (None, 0, None, 0))(problem.prior_information, scan.measurement, H, measured.V)
     covariance = inverse_spd(begun.information)
     variance = jnp.diagonal(multiply(multiply(Z, covariance), Z.T), axis1=-2, axis2=-1)
     density = model.grid.density(population.undetected, problem.motion.position(begun.mean), jnp.sqrt(variance))
-    unnamed = jnp.full(len(chance), NO_IDENTITY)
-    return Tracks(jnp.zeros_like(chance), begun.mean, covariance, unnamed), chance * density
-
-
-def _chance(problem: Problem, model: DetectionModel, pose: Pose, scan: Scan) -> Float[Array, " m"]:
-    """Probability of detection of a target at each detection's place: p_D, times the probability that this is in view.
-
-    A detector whose view is wider than the model's also has false alarms beyond it. A track there is never looked at
-    in vain, so that without the second factor a few of them would make a target that stays.
-    """
-    states = _states(problem, scan)
-    body = problem.agent.space.to_body(pose, problem.motion.position(states))
-    variance = jnp.mean(jnp.diagonal(_noise(problem, pose, states), axis1=-2, axis2=-1), axis=-1)
-    in_view = ndtr(-problem.sensor.view.signed_distance(body) / jnp.sqrt(variance))
-    return model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1))) * in_view
-
-
-def _states(problem: Problem, scan: Scan) -> Float[Array, "m n_y"]:
-    """The least states that would be measured as the detections are."""
-    return jnp.matmul(scan.measurement, jnp.linalg.pinv(problem.sensor.H).T, precision="highest")
-
-
-def _noise(problem: Problem, pose: Pose, states: Float[Array, "n n_y"]) -> Float[Array, "n n_z n_z"]:
-    """V for targets in these states as seen from a pose."""
-    space = problem.agent.space
-    points_body = space.to_body(pose, problem.motion.position(states))
-    return jax.vmap(problem.sensor.covariance, (None, 0))(space.rotation(pose), points_body)
-
-
-def cell_detection(problem: Problem, model: DetectionModel, pose: Pose) -> Float[Array, "*cells"]:
-    """Probability of detection of a target somewhere in each cell: p_D at its middle times its share in the view.
-
-    The share is that of a strip as wide as the cell which the view's border cuts at its distance from the middle.
-    """
-    grid, space = model.grid, problem.agent.space
-    centres = grid.centres().reshape(-1, len(grid.shape))
-    body = space.to_body(pose, centres)
-    width = grid.volume ** (1.0 / len(grid.shape))
-    share = jnp.clip(0.5 - problem.sensor.view.signed_distance(body) / width, 0.0, 1.0)
-    if problem.obstacles is not None:
-        share = jnp.where(problem.obstacles.sees(space.position(pose), centres, share > 0), share, 0.0)
-    chance = model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1)))
-    return (share * chance).reshape(grid.shape)
+    nothing, unnamed = jnp.zeros_like(density), jnp.full(len(density), NO_IDENTITY)
+    return Tracks(nothing, begun.mean, covariance, unnamed), density
 
 
 def confirmed(model: DetectionModel, tracks: Tracks) -> Bool[Array, " n"]:

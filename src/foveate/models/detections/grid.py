@@ -47,6 +47,11 @@ class Grid(eqx.Module):
         """For each axis, the share of N(mean, std^2) in every interval of cells; the outer two have the tails."""
         return [_shares(self.edges(axis), mean[:, axis], std[:, axis]) for axis in range(len(self.shape))]
 
+    def within(self, axis: int, mean: Float[Array, " n"], std: Float[Array, " n"]) -> Float[Array, "n cells"]:
+        """Share of N(mean, std^2) in every interval of cells along an axis, without the tails beyond the border."""
+        below = ndtr((self.edges(axis) - mean[:, None]) / std[:, None])
+        return below[:, 1:] - below[:, :-1]
+
     def deposit(
         self, weight: Float[Array, " n"], mean: Float[Array, "n d"], std: Float[Array, "n d"]
     ) -> Float[Array, "*cells"]:
@@ -77,9 +82,10 @@ class Grid(eqx.Module):
     ) -> Float[Array, " m"]:
         """Intensity per volume [1/m^d] about points, weighed by N(0, diag(std)^2): sum_c u_c l(point | c).
 
-        A target is anywhere in its cell: l is the share of N(point, std^2) in the cell, by the cell's volume.
+        A target is anywhere in its cell: l is the share of N(point, std^2) in the cell, by the cell's volume. It is 0
+        beyond the border: the targets out there, which count in the cells at it, may be anywhere.
         """
-        first, *rest = self.shares(point, std)
+        first, *rest = [self.within(axis, point[:, axis], std[:, axis]) for axis in range(len(self.shape))]
         value = jnp.tensordot(first, intensity, axes=1, precision="highest")
         for share in rest:
             value = jnp.einsum("mc,mc...->m...", share, value, precision="highest")

@@ -26,15 +26,16 @@ LEAST_SHARE = 1e-3
 class Missed(NamedTuple):
     """For every track: probability of detection, and mean and covariance given that it was missed.
 
-    `excess` is that of the next `Look`. `factor` corrects the belief's Gaussian before this look, by that of the
-    previous one: in what it showed, and beyond.
+    `excess` is that of the next `Look`. `within` and `beyond` are factors on the Gaussian before this look, on the
+    ground that the previous look showed and on the rest, that make it the belief after that look.
     """
 
     detection: Float[Array, " n"]
     mean: Float[Array, "n n_y"]
     covariance: Float[Array, "n n_y n_y"]
     excess: Float[Array, " n"]
-    factor: tuple[Float[Array, " n"], Float[Array, " n"]]
+    within: Float[Array, " n"]
+    beyond: Float[Array, " n"]
 
 
 class _Position(NamedTuple):
@@ -80,7 +81,7 @@ def look_in_vain(problem: Problem, model: DetectionModel, tracks: Tracks, look: 
     after = _position(mean, covariance, Z, standard)
     put_back = _sees(problem, pose, after.middle[:, None] + after.offset)
     excess = jnp.sum(jnp.where(put_back, weights, 0.0), axis=1) - jnp.clip(left, 0.0, 1.0)
-    return Missed(detection, mean, covariance, excess, (within, beyond))
+    return Missed(detection, mean, covariance, excess, within, beyond)
 
 
 def _sees(problem: Problem, pose: Pose, points: Float[Array, "n p d"]) -> Bool[Array, "n p"]:
@@ -120,5 +121,4 @@ def detected_factors(problem: Problem, look: Look, missed: Missed, point: Float[
     Without it a track that was looked for in vain, and so is likely beyond the view, would claim false alarms in it.
     """
     known = look.missed[:, None] & problem.sees(look.pose, point)
-    within, beyond = missed.factor
-    return jnp.where(known, within[:, None], beyond[:, None])
+    return jnp.where(known, missed.within[:, None], missed.beyond[:, None])
