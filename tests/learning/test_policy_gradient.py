@@ -48,6 +48,12 @@ def plain():
 SOFT = TrainingSettings().protocol
 
 
+@jax.jit
+def scored(weights):
+    """The log dets of each step."""
+    return log_dets(PROBLEM, Changing(weights), EPISODE, SOFT, KEY)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("segment", [2, 9])
 def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
@@ -55,7 +61,7 @@ def test_segments_that_are_run_again_give_the_same_gradient(plain, segment):
         return jnp.mean(log_dets(PROBLEM, Changing(w), EPISODE, SOFT, KEY, Backpropagation(segment=segment))[-1])
 
     value, gradient = jax.jit(jax.value_and_grad(last))(WEIGHTS)
-    assert value == pytest.approx(float(jnp.mean(log_dets(PROBLEM, Changing(WEIGHTS), EPISODE, SOFT, KEY)[-1])), 1e-12)
+    assert value == pytest.approx(float(jnp.mean(scored(WEIGHTS)[-1])), 1e-12)
     assert np.abs(plain[-1]).max() > 1e-3
     np.testing.assert_allclose(gradient, plain[-1], rtol=1e-9, atol=1e-12)
 
@@ -65,7 +71,7 @@ def windowed(objective_, window):
     value, gradient = jax.jit(jax.value_and_grad(lambda w: objective(PROBLEM, Changing(w), EPISODE, settings, KEY)))(
         WEIGHTS
     )
-    log_det = log_dets(PROBLEM, Changing(WEIGHTS), EPISODE, SOFT, KEY)
+    log_det = scored(WEIGHTS)
     assert value == pytest.approx(float(episode_score(log_det, EPISODE, objective_ == "terminal")), 1e-12)
     return np.asarray(gradient)
 

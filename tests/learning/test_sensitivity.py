@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.episodes import training_episode
 from jax.flatten_util import ravel_pytree
 
 from foveate.experiment.presets import QUADROTOR
@@ -22,7 +23,6 @@ from foveate.policies.heuristics import Lawnmower
 from foveate.scenario.obstacles import ShapeObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import SensorSettings
-from foveate.simulation.episodes import training_episode
 from foveate.simulation.planar_in_space import EmbeddedPolicy, embedded_episode, embedded_problem
 from foveate.simulation.records import Episode, Protocol
 from foveate.simulation.rollout import log_dets
