@@ -50,7 +50,7 @@ class DetectionSettings(Settings):
 
     The filter is a Poisson multi-Bernoulli one: tracks with a probability of existence, and a grid of the intensity of
     targets that were never detected, on the box from `low_m` to `high_m`. Targets beyond the box count in the cells at
-    its border.
+    its border; where there are false alarms, what is detected beyond the box begins no track.
     """
 
     low_m: tuple[float, ...]
