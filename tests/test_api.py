@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import warnings
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -416,7 +416,7 @@ def test_replays_as_the_command(recording: Path, tmp_path: Path, monkeypatch: py
     a, b = (json.loads((tmp_path / name).read_text()) for name in "ab")
     assert a == b
     mine = foveate.replay(policy, foveate.load_recording(recording), progress=False, **options)
-    assert [json.loads(json.dumps(asdict(row))) for row in mine.rows] == a["rows"]
+    assert [json.loads(json.dumps(row.record())) for row in mine.rows] == a["rows"]
     assert [row.method for row in mine.rows] == list(mine.traces) == ["policy", "still"]
     assert f"{mine.rows[0].log_det_mean:.2f}" in repr(mine)
     assert f"<td>{mine.rows[0].log_det_mean:.2f}</td>" in mine._repr_html_()
