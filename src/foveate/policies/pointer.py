@@ -189,7 +189,8 @@ class PointerPolicy(Policy):
             return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
         searched = with_places(observation)
         told = self.objective, self.tells_time, self.tells_team, self.rays
-        return searched.told(tokens_of(searched.observation, *told))
+        # All the way, as the look-ahead goes: there may be nothing to keep in view.
+        return searched.told(tokens_of(searched.observation, *told, standoff=0.0))
 
     def modes(self, tokens: Tokens) -> Modes:
         """The mixture of n per_target + 1 modes; those of padding have no weight."""

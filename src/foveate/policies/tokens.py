@@ -58,11 +58,16 @@ class Tokens(NamedTuple):
 
 
 def tokens_of(
-    observation: Observation, objective: Objective, tells_time: bool, tells_team: bool = False, rays: int = 0
+    observation: Observation,
+    objective: Objective,
+    tells_time: bool,
+    tells_team: bool = False,
+    rays: int = 0,
+    standoff: float = STANDOFF,
 ) -> Tokens:
     """The tokens of an observation; without `tells_time` as if there were no end, without `rays` as if in the open.
 
-    `tells_team`: of a team's robot.
+    `tells_team`: of a team's robot. `standoff` is where the steering law ends, in depths of the view.
     """
     robot = observation.robot
     if robot is None:
@@ -73,9 +78,7 @@ def tokens_of(
     information = jnp.where(present[:, None, None], observation.information, problem.prior_information)
     position_body = agent.space.to_body(observation.pose, motion.position(observation.mean))
     position_body = jnp.where(present[:, None], position_body, depth)
-    # Where it searches it goes all the way, as the look-ahead does: there may be nothing to keep in view.
-    standoff_m = (STANDOFF if problem.detections is None else 0.0) * depth
-    reached, rest, around = ways_of(observation, robot, position_body, rays, standoff_m)
+    reached, rest, around = ways_of(observation, robot, position_body, rays, standoff * depth)
     aim = jax.vmap(lambda point, rest: steer(agent, problem.tau, point, rest))(reached, rest)
     steps = jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point))(reached)
     log_det, ahead = log_det_spd(information), jax.vmap(predict_information, (0, None))(information, motion)
