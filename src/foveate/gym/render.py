@@ -75,17 +75,9 @@ class Screen:
         if self._alive is not None:
             return self._data_of_tracks(self._alive[: self._horizon + 1], pose, *columns)
         mean, information, present, visible = (values[:, self._columns] for values in columns)
-        return state_data(
-            self._problem,
-            pose=pose,
-            mean=mean,
-            information=information,
-            log_det=np.linalg.slogdet(information[1:])[1],
-            visible=visible[1:],
-            present=present,
-            # Without truth targets are drawn at their estimates.
-            truth=mean if self._truth is None else self._truth[: self._horizon + 1, self._columns],
-        )
+        # Without truth targets are drawn at their estimates.
+        truth = mean if self._truth is None else self._truth[: self._horizon + 1, self._columns]
+        return self._drawn(pose, mean, information, visible, present, truth)
 
     def _data_of_tracks(self, alive, pose, mean, information, existence, visible, undetected) -> EpisodeData:
         """The same of detections without ids; GOSPA is that of the steps so far."""
@@ -94,6 +86,10 @@ class Screen:
         so_far = slice(max(2, len(self._instants)))
         parts = {"existence": existence, "mean": mean, "truth": truth, "alive": alive, "undetected": undetected}
         gospa_m = track_data(self._problem, **{name: values[so_far] for name, values in parts.items()}).gospa_m
+        tracks = replace(track_data(self._problem, **parts), gospa_m=gospa_m)
+        return self._drawn(pose, mean, information, visible, alive, truth, tracks)
+
+    def _drawn(self, pose, mean, information, visible, present, truth, tracks=None) -> EpisodeData:
         return state_data(
             self._problem,
             pose=pose,
@@ -101,9 +97,9 @@ class Screen:
             information=information,
             log_det=np.linalg.slogdet(information[1:])[1],
             visible=visible[1:],
-            present=alive,
+            present=present,
             truth=truth,
-            tracks=replace(track_data(self._problem, **parts), gospa_m=gospa_m),
+            tracks=tracks,
         )
 
     def _append_tracks(self, pose: Any, population: Population, visible: Any) -> None:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
 
 from foveate.errors import InputError
 from foveate.io.files import write_atomic
@@ -35,6 +36,18 @@ def clean(axes: Axes, size: float = 8.0) -> None:
     axes.tick_params(labelsize=size, length=2.5, width=0.6, color=GREY, pad=2)
     for spine in axes.spines.values():
         spine.set(linewidth=0.6, color=GREY)
+
+
+def over_time(axes: Axes, end_s: float, y: str) -> None:
+    """Give the axes of an animation's chart a time axis until `end_s` [s], whole numbers upward, a grid and labels."""
+    axes.set_xlim(0, 1.015 * end_s or 1.0)  # so that the last dots are whole
+    axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
+    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
+    axes.grid(color=PALE, lw=0.6)
+    axes.set_axisbelow(True)
+    clean(axes, 9.0)
+    axes.set_xlabel("time [s]", fontsize=9, labelpad=2)
+    axes.set_ylabel(y, fontsize=9, labelpad=2)
 
 
 def tidy(axes: Axes, x: str, y: str = "", size: float = 9.0) -> None:

@@ -14,11 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from foveate.errors import InputError
-from foveate.io.figures import BLACK, GREY, PALE, clean, drawable, literal, new_figure
+from foveate.io.figures import BLACK, GREY, drawable, literal, new_figure, over_time
 from foveate.io.files import write_atomic
 from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData, axis_range
 from foveate.plotting.scene import SEEN, PlanarScene, broken, describe, legend_entries
@@ -158,15 +157,8 @@ def _curves(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Callable[[int]
     """Draw log det of every target after every step up to a moment; return as `_scene`."""
     times, mean, present = data.times_s[1:], data.mean_log_det, data.present[1:]
     points = np.stack(np.broadcast_arrays(times[:, None], data.log_det), axis=-1)
-    axes.set_xlim(0, 1.015 * data.times_s[-1] or 1.0)  # so that the last dots are whole
     axes.set_ylim(*axis_range(data.log_det_present))
-    axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
-    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
-    axes.grid(color=PALE, lw=0.6)
-    axes.set_axisbelow(True)
-    clean(axes, 9.0)
-    axes.set_xlabel("time [s]", fontsize=9, labelpad=2)
-    axes.set_ylabel("log det of information [nat]", fontsize=9, labelpad=2)
+    over_time(axes, data.times_s[-1], "log det of information [nat]")
     short = data.steps <= 60
     each = axes.add_line(Line2D([], [], color=GREY, lw=1.0 if short else 0.5))
     dots = axes.add_line(Line2D([], [], color=SEEN, ls="none", marker="o", ms=4 if short else 2))

@@ -7,9 +7,8 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
-from foveate.io.figures import BLACK, GREEN, PALE, PURPLE, clean
+from foveate.io.figures import BLACK, GREEN, PURPLE, over_time
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
 from foveate.plotting.track_data import TrackData
 
@@ -44,15 +43,8 @@ def draw_counts(axes: Axes, data: EpisodeData) -> tuple[list[Artist], Callable[[
         "confirmed tracks": (tracks.confirmed.sum(axis=1), GREEN, 1.4),
         "expected": (tracks.expected, PURPLE, 1.4),
     }
-    axes.set_xlim(0, 1.015 * data.times_s[-1] or 1.0)
     axes.set_ylim(0, 1.08 * max(float(values.max(initial=1.0)) for values, _, _ in numbers.values()))
-    axes.locator_params(axis="x", nbins=7, steps=[1, 2, 5, 10])
-    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10], integer=True))
-    axes.grid(color=PALE, lw=0.6)
-    axes.set_axisbelow(True)
-    clean(axes, 9.0)
-    axes.set_xlabel("time [s]", fontsize=9, labelpad=2)
-    axes.set_ylabel("number of targets", fontsize=9, labelpad=2)
+    over_time(axes, data.times_s[-1], "number of targets")
     lines = [axes.add_line(Line2D([], [], color=tint, lw=width, label=name, drawstyle="steps-post"))
              for name, (_, tint, width) in numbers.items()]  # fmt: skip
     style = {"fontsize": 9, "frameon": False, "handlelength": 1.4, "borderpad": 0, "columnspacing": 1.2}
