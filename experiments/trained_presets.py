@@ -5,10 +5,11 @@
     python experiments/trained_presets.py --judge [PRESET ..]
 
 Each preset takes minutes and replaces an existing one. A policy's folder has its configuration and weights, the verdict
-of its training (verdict.json, which --judge alone writes again), and record.json: seed, versions and duration of the
-training, and, for a test to compare with, the scores on a few scenes in float64.
+of its training (verdict.json), and record.json: seed, versions and duration of the training, and, for a test to compare
+with, the scores on a few scenes in float64. --judge writes verdict and scores again, without a training.
 """
 
+import json
 import shutil
 import sys
 import tempfile
@@ -56,10 +57,7 @@ def make(preset: str) -> None:
     seconds = time.perf_counter() - began
     shutil.rmtree(TRAINED / preset, ignore_errors=True)
     policy.save(TRAINED / preset)
-    judge_run(TRAINED / preset)
-    jax.config.update("jax_enable_x64", True)  # for all threads; a context manager covers only this one
-    found = scores(*played(preset))
-    jax.config.update("jax_enable_x64", False)
+    found = judge(preset)
     record = {
         "preset": preset,
         "seed": SEED,
@@ -74,6 +72,23 @@ def make(preset: str) -> None:
     print(f"{preset}: {seconds:.0f} s, held-out {policy.facts['held_out']:.2f}, {found}", flush=True)
 
 
+def judge(preset: str) -> dict[str, float]:
+    """Write the verdict of a shipped policy, and return its scores for the record."""
+    judge_run(TRAINED / preset)
+    jax.config.update("jax_enable_x64", True)  # for all threads; a context manager covers only this one
+    found = scores(*played(preset))
+    jax.config.update("jax_enable_x64", False)
+    return found
+
+
+def judge_again(preset: str) -> None:
+    """Write verdict and scores of a shipped policy as the present code has them."""
+    path = TRAINED / preset / "record.json"
+    record = json.loads(path.read_text(encoding="utf-8")) | {"scores": judge(preset)}
+    write_json(path, record)
+    print(f"{preset}: {record['scores']}", flush=True)
+
+
 def main() -> None:
     """Make, or judge, the presets named on the command line, or all of them."""
     given = [argument for argument in sys.argv[1:] if argument != "--judge"]
@@ -81,7 +96,7 @@ def main() -> None:
         if preset not in PRESETS:
             sys.exit(f"{preset}: presets are {', '.join(PRESETS)}")
         if "--judge" in sys.argv:
-            print(preset, judge_run(TRAINED / preset), flush=True)
+            judge_again(preset)
         else:
             make(preset)
 

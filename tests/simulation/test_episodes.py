@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.distributions import uniform
@@ -24,6 +25,16 @@ PAPER = Scenario()
 COUNT = 3000
 W = np.array([[0.09, 0.03], [0.03, 0.04]])
 V = np.array([[0.05, -0.02], [-0.02, 0.03]])
+JERK = Scenario(target=AccelerationTarget(kind="constant_acceleration", jerk_m2_s5=0.02))
+TWO_EQUAL_AXES = Scenario(
+    target=LinearTarget(
+        A=((1.0, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
+        B=((0.0,), (0.0,), (0.0,), (0.0,)),
+        W=((0.1, 0.0, 0.05, 0.0), (0.0, 0.1, 0.0, 0.05), (0.05, 0.0, 0.1, 0.0), (0.0, 0.05, 0.0, 0.1)),
+        Z=((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)),
+        prior=((4.0, 0.0, 1.0, 0.0), (0.0, 4.0, 0.0, 1.0), (1.0, 0.0, 4.0, 0.0), (0.0, 1.0, 0.0, 4.0)),
+    )
+)
 
 
 def drawn(settings, test=False, scenario=PAPER):
@@ -348,3 +359,23 @@ def test_noise_differs_by_seed_scene_and_episode():
     assert uniform(everything[0]["jitter"], -1, 1)
     both = [np.ravel(e["process"]) for e in everything]
     assert abs(np.corrcoef(both)[0, 1]) < 0.06
+
+
+@pytest.mark.parametrize("error", ["paper", "consistent"])
+@pytest.mark.parametrize("scenario", [QUADROTOR, TWO_EQUAL_AXES, JERK], ids=["quadrotor", "linear", "acceleration"])
+def test_draws_are_the_same_in_single_precision(scenario, error):
+    """The same random numbers give the same truth: no root follows rounding, not even where eigenvalues are equal."""
+    scenario = replace(scenario, scenes=replace(scenario.scenes, initial_error=error, steps=8))
+    scenes, key = scenario.scenes, jax.random.key(4)
+    numbers = jax.random.uniform(key, (draw_size(scenes, scenario.problem()),), minval=-1.0)
+    made = draw(scenes, scenario.problem(), numbers), draw_noise(scenario.problem(), key, 8, scenes.targets_max)
+
+    def states(x64):
+        with jax.enable_x64(x64):
+            problem, (scene, noise) = scenario.problem(), jax.tree.map(jnp.array, jax.tree.map(np.asarray, made))
+            episode = jax.jit(lambda s, n: episode_of(problem, scenes, s, n))(scene, noise)
+        return episode.truth.state, episode.mean
+
+    for found, expected in zip(states(False), states(True), strict=True):
+        assert (found.dtype, expected.dtype) == (np.float32, np.float64)
+        np.testing.assert_allclose(found, expected, atol=1e-3)

@@ -117,23 +117,25 @@ def inverse_upper(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
-def root_semidefinite(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def root_semidefinite(matrix: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
     """The lower triangular R with R R^T = M, for a small symmetric positive *semi*definite M.
 
-    A pivot that is rounding alone is zero, and so is its column. There is no derivative where M is singular.
+    R is unique, where a root by eigenvectors is not if eigenvalues are equal: it would follow rounding, and so differ
+    from machine to machine. A pivot that is rounding alone is zero, and so is its column. There is no derivative where
+    M is singular.
     """
-    size, zero = len(matrix), jnp.zeros_like(matrix[0, 0])
+    size, zero = matrix.shape[-1], jnp.zeros_like(matrix[..., 0, 0])
     rounding = 4.0 * size * jnp.finfo(matrix.dtype).eps
     rows: list[list] = [[zero] * size for _ in range(size)]
     for j in range(size):
-        pivot = matrix[j, j] - sum(rows[j][k] ** 2 for k in range(j))
-        is_zero = pivot <= rounding * matrix[j, j]
+        pivot = matrix[..., j, j] - sum(rows[j][k] ** 2 for k in range(j))
+        is_zero = pivot <= rounding * matrix[..., j, j]
         root = jnp.sqrt(jnp.where(is_zero, 1.0, pivot))
         rows[j][j] = jnp.where(is_zero, 0.0, root)
         for i in range(j + 1, size):
-            rest = matrix[i, j] - sum(rows[i][k] * rows[j][k] for k in range(j))
+            rest = matrix[..., i, j] - sum(rows[i][k] * rows[j][k] for k in range(j))
             rows[i][j] = jnp.where(is_zero, 0.0, rest / root)
-    return jnp.stack([jnp.stack(row) for row in rows])
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def multiply(a: Float[Array, "*b n m"], b: Float[Array, "*c m k"]) -> Float[Array, "*d n k"]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
+from foveate.geometry.linalg import root_semidefinite
 from foveate.models.problem import Problem
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.drawn import Drawn, Noise
@@ -152,7 +153,7 @@ def episode_of(
 
     truth = None
     if with_truth:
-        roots = jnp.swapaxes(_root(period.motion.W), -1, -2)
+        roots = jnp.swapaxes(root_semidefinite(period.motion.W), -1, -2)
         pushes = noise.process @ roots[entry] * float(settings.process_noise)
         newcomers = None if others is None else others.newcomers
         states, inputs = true_states(problem.of_map(scene.map_number), first, drift, inputs, pushes, newcomers)
@@ -205,10 +206,10 @@ def first_error(problem: Problem, settings: SceneSettings, normal: Float[Array, 
     if settings.first_error_std:
         return normal * jnp.repeat(jnp.array(settings.first_error_std), problem.motion.dimension)
     if settings.initial_error == "consistent":
-        return normal @ _root(jnp.linalg.inv(problem.prior_information)).T
+        return normal @ root_semidefinite(jnp.linalg.inv(problem.prior_information)).T
     V, H = problem.period.V[0], problem.sensor.H
     # The least-norm state error whose measurement H y has the distribution N(0, V).
-    return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ _root(V)).T
+    return normal[..., : len(V)] @ (jnp.linalg.pinv(H) @ root_semidefinite(V)).T
 
 
 def first_mean(
@@ -219,9 +220,3 @@ def first_mean(
     if velocity == "truth" or motion.state_size == motion.dimension:
         return erring
     return jnp.matmul(motion.position(erring), jnp.linalg.pinv(motion.Z).T, precision="highest")
-
-
-def _root(covariance: Float[Array, "*b n n"]) -> Float[Array, "*b n n"]:
-    """A matrix R with R R^T = covariance, which may be singular."""
-    values, vectors = jnp.linalg.eigh(covariance)
-    return vectors * jnp.sqrt(jnp.maximum(values, 0.0))[..., None, :]
