@@ -1,7 +1,4 @@
-"""Resolution of names: runs and presets to experiments and policies, scenes and methods to lists.
-
-The package has a run folder for each preset, made by experiments/trained_presets.py.
-"""
+"""Resolution of names: runs and presets to experiments and policies, scenes and methods to lists."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +30,7 @@ from foveate.simulation.suites import own_suite, table1
 from foveate.types import Key
 
 TRAINED = Path(__file__).parent / "trained"
-"""Folder of the presets' run folders."""
+"""Folder of the presets' run folders, made by experiments/trained_presets.py."""
 Name = str | Path
 
 
@@ -46,7 +43,7 @@ class NamedPolicy:
     network: Policy
 
     def require_serves(self, scenario: Scenario) -> None:
-        """Raise InputError if it is bound to another robot or other targets; here it is not."""
+        """Raise InputError if bound to another robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
