@@ -89,7 +89,7 @@ ROOMS = Scenario(
         steps=48,
         initial_error="consistent",
     ),
-    obstacles=RoomObstacles(maps=32),
+    obstacles=RoomObstacles(maps=32, keep_off_m=0.0),
 )
 """A slow robot among 3 to 6 targets that walk through the rooms of a floor of 18 x 18 m, for 24 s."""
 
@@ -101,7 +101,7 @@ FOREST = replace(
         initial_velocity_variance_m2_s2=0.16,
     ),
     scenes=replace(QUADROTOR.scenes, targets_max=6, half_side_m=(12.0, 12.0, 1.5), steps=40),
-    obstacles=ForestObstacles(density_per_m2=0.04, radius_m=(0.2, 0.4), height_m=(6.0, 9.0)),
+    obstacles=ForestObstacles(density_per_m2=0.04, radius_m=(0.2, 0.4), height_m=(6.0, 9.0), keep_off_m=0.0),
 )
 """The flying camera of QUADROTOR among the trunks of a wood of 24 x 24 m, taller than it flies, for 20 s."""
 
