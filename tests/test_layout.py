@@ -91,7 +91,7 @@ TESTED_ELSEWHERE = {
     "ros.records": "ros/test_core.py",
     **{f"recordings.{name}": "recordings/test_tables.py" for name in ("clock", "fixes", "layout", "rows")},
     "recordings.unused": "recordings/test_outliers.py",
-    **dict.fromkeys(("recordings.compare", "recordings.measures", "recordings.starts"), "recordings/test_replay.py"),
+    **{f"recordings.{name}": "recordings/test_replay.py" for name in ("compare", "measures", "results", "starts")},
     **dict.fromkeys(("recordings.choice", "recordings.methods"), "recordings/test_split.py"),
     "recordings.replay_table": "cli/test_tables.py",
     **{

@@ -85,7 +85,7 @@ _HOMES = {
     "RegionSettings": "scenario.region",
     "replay": "api",
     "replay_figure": "plotting.replay_figure",
-    "ReplayResult": "recordings.compare",
+    "ReplayResult": "recordings.results",
     "RobotPolicy": "deploy.policy",
     "rollout": "simulation.rollout",
     "RoomObstacles": "scenario.random_obstacles",

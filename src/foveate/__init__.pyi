@@ -45,11 +45,11 @@ from foveate.policies.attention import AttentionSettings as AttentionSettings
 from foveate.policies.heuristics import Steering as Steering
 from foveate.policies.keep_off import KeepOff as KeepOff
 from foveate.policies.pointer import PointerSettings as PointerSettings
-from foveate.recordings.compare import ReplayResult as ReplayResult
 from foveate.recordings.fit import Fitted as Fitted
 from foveate.recordings.formats import load_recording as load_recording
 from foveate.recordings.recording import Recording as Recording
 from foveate.recordings.recording import Track as Track
+from foveate.recordings.results import ReplayResult as ReplayResult
 from foveate.scenario.agent import DifferentialDrive as DifferentialDrive
 from foveate.scenario.agent import FixedWing as FixedWing
 from foveate.scenario.agent import FreeBody as FreeBody

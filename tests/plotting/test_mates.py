@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from foveate.plotting.animation import picture
 from foveate.plotting.episode_data import SUBSTEPS
 from foveate.plotting.mates import lines
+from foveate.plotting.replay_figure import replay_figure
 from foveate.plotting.scene import PlanarScene, limits
 
 POSES = np.random.default_rng(1).normal(0, [9.0, 9.0, 1.0], (5, 2, 3))
@@ -41,3 +42,16 @@ def test_lines_have_gaps_between_pairs():
 def test_a_picture_of_a_team_differs_from_that_of_its_first_robot():
     alone, team = random_episode(), random_episode(mates=POSES, heard=HEARD)
     assert np.any(picture(alone, 3 * SUBSTEPS) != picture(team, 3 * SUBSTEPS))
+
+
+def test_the_figure_of_a_replay_has_every_path_and_a_row_of_the_radio_for_each_robot(tmp_path):
+    data = random_episode(mates=POSES, heard=HEARD)
+    figure = replay_figure({"one": data, "two": random_episode(seed=1)}, tmp_path / "a.png")
+    axes = {axes.get_title(loc="left").partition(":")[0]: axes for axes in figure.axes}
+    ends = [line.get_xydata()[-1] for line in figure.axes[0].get_lines()]
+    for pose in (data.pose[-1], *POSES[-1]):
+        assert np.nanmin([np.linalg.norm(end - pose[:2]) for end in ends]) < 1e-9
+    (mesh,) = axes["others heard"].collections
+    np.testing.assert_allclose(np.asarray(mesh.get_array()).reshape(3, 4), HEARD.sum(axis=2).T / 2)
+    alone = replay_figure({"one": random_episode()})
+    assert len(alone.axes) == len(figure.axes) - 1

@@ -26,7 +26,8 @@ class Replay(ReadingCommand):
     frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""
     method: Annotated[tuple[str, ...], option("NAME ..")] = ("all",)
     """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Without ids of
-    detections also explore, alternate, lookahead. Also planners in receding horizon, which take seconds to minutes:
+    detections also explore, alternate, lookahead. For a team also NAME+RULE with the rule greedy, hungarian or auction,
+    by which the robots share the targets. Also planners in receding horizon, which take seconds to minutes:
     icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part to use [s]."""
@@ -39,7 +40,8 @@ class Replay(ReadingCommand):
     candidates: Annotated[tuple[str, ...], option("RUN ..")] = ()
     """Further runs, say of other seeds: the best of all on the part to choose on is replayed on the part to judge."""
     agent_start: Annotated[str | None, option("X,Y,YAW")] = None
-    """Start pose of the agent [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording)."""
+    """Start pose of the agent [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording). In a team it
+    is the first robot's, and the others start at random places; or give the poses of all, one after another."""
     starts: int = 1
     """Number of start poses; more than one are sampled, the same for all methods, and means are printed."""
     max_gap: Annotated[float | None, option("SECONDS")] = None

@@ -60,6 +60,12 @@ class EpisodeData:
             raise InputError(f"times_s has {len(self.times_s)} instants: expected {self.steps + 1}, steps + 1")
 
     @property
+    def poses(self) -> Float[np.ndarray, "instants robots ..."]:
+        """Poses of all robots, the first one's first."""
+        own = self.pose[:, None]
+        return own if self.mates is None else np.concatenate([own, self.mates], axis=1)
+
+    @property
     def steps(self) -> int:
         """Number of steps, K."""
         return len(self.visible)

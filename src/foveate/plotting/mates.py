@@ -1,4 +1,4 @@
-"""The other robots of a team in a planar scene, and who has heard whom."""
+"""The other robots of a team in a planar scene, and who has heard whom, there and over time."""
 
 from itertools import chain
 from typing import Any
@@ -9,10 +9,12 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
 
 from foveate.geometry.numpy_poses import arc, placed, positions
-from foveate.io.figures import BLUE, GREY, SKY
+from foveate.io.figures import BLUE, GREY, SKY, TITLE, clean
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
+from foveate.plotting.walls import lit
 
 
 class Mates:
@@ -54,13 +56,23 @@ class Mates:
             path.set_data(*positions(course[begin : moment + 1]).T)
             body.set_xy(placed(pose, self.size * self.kite))
             for view, border in zip(views, self.data.outline, strict=True):
-                view.set_xy(placed(pose, border))
-        places = positions(np.stack(poses))
-        heard = np.zeros((len(poses), len(poses)), bool)
-        if step and self.data.heard is not None:
-            heard = self.data.heard[step - 1]
-        self.both.set_data(*lines(places, heard & heard.T).T)
-        self.one.set_data(*lines(places, (heard | heard.T) & ~(heard & heard.T)).T)
+                walls = self.data.walls
+                view.set_xy(placed(pose, border) if walls is None else lit(walls, pose, border))
+        both, one = links(self.data, np.stack(poses), moment)
+        self.both.set_data(*both.T)
+        self.one.set_data(*one.T)
+
+
+def links(
+    data: EpisodeData, poses: Float[np.ndarray, "M ..."], moment: int
+) -> tuple[Float[np.ndarray, "_ d"], Float[np.ndarray, "_ d"]]:
+    """Lines between robots at these poses of which both have heard each other in the last step, and of which one has.
+
+    They have gaps of NaN; there are none before the first step.
+    """
+    places, step = positions(poses), moment // SUBSTEPS
+    heard = np.zeros((len(poses), len(poses)), bool) if step == 0 or data.heard is None else data.heard[step - 1]
+    return lines(places, heard & heard.T), lines(places, heard ^ heard.T)
 
 
 def lines(places: Float[np.ndarray, "M d"], pairs: Bool[np.ndarray, "M M"]) -> Float[np.ndarray, "_ d"]:
@@ -68,3 +80,18 @@ def lines(places: Float[np.ndarray, "M d"], pairs: Bool[np.ndarray, "M M"]) -> F
     first, second = np.nonzero(np.triu(pairs, 1))
     gaps = np.full((len(first), places.shape[1]), np.nan)
     return np.stack([places[first], places[second], gaps], axis=1).reshape(-1, places.shape[1])
+
+
+def draw_radio(axes: Axes, data: EpisodeData) -> None:
+    """Draw a row for each robot over time: the darker, the more of the others it hears."""
+    assert data.heard is not None, "of a team's episodes"
+    robots = data.heard.shape[1]
+    share = data.heard.sum(axis=2) / (robots - 1)
+    rows = np.arange(robots + 1) + 0.5
+    axes.pcolormesh(data.times_s, rows, share.T, cmap="Blues", vmin=0.0, vmax=1.0, rasterized=True)
+    axes.set_ylim(robots + 0.5, 0.5)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    clean(axes)
+    axes.set_ylabel("robot", fontsize=8.5, labelpad=4)
+    axes.set_xlabel("time [s]", fontsize=8.5, labelpad=3)
+    axes.set_title("others heard: none (white) to all (dark)", loc="left", **TITLE)

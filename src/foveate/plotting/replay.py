@@ -6,8 +6,8 @@ from foveate.plotting.animation import animate
 from foveate.plotting.episode_data import EpisodeData, episode_data
 from foveate.plotting.replay_figure import replay_figure
 from foveate.plotting.track_data import intensities
-from foveate.recordings.compare import ReplayResult
 from foveate.recordings.measures import PreparedReplay
+from foveate.recordings.results import ReplayResult
 from foveate.simulation.records import Trace
 
 

@@ -12,9 +12,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from foveate.errors import InputError
-from foveate.geometry.numpy_poses import positions, rotation
+from foveate.geometry.numpy_poses import arc, positions, rotation
 from foveate.io.figures import BLACK, DPI, GREY, LEGEND, PALE, TITLE, WIDTH, clean, drawable, new_figure, save
-from foveate.plotting.episode_data import EpisodeData
+from foveate.plotting.episode_data import SUBSTEPS, EpisodeData
+from foveate.plotting.mates import draw_radio
 from foveate.plotting.scene import AGENT, SEEN, broken
 from foveate.plotting.scene_spatial import scene_class
 from foveate.plotting.walls import WALL, draw, loops
@@ -28,7 +29,8 @@ def replay_figure(
     Left, the map (in space: from above and from the side): every target's track in grey, in colour while it was seen,
     and the agent's path, which begins at the triangle. Right, the timeline: a row for each slot, which holds one target
     after another, light while one is present, dark while it is seen; below it the share of target time that each method
-    has seen, or its mean GOSPA of detections without ids.
+    has seen, or its mean GOSPA of detections without ids. Of a team there are the paths of all robots, and above the
+    shares how much each robot hears of the others, with the first method.
 
     Args:
         episodes: Episode data of each method, by its name.
@@ -45,14 +47,17 @@ def replay_figure(
     if not episodes:
         raise InputError("no episode to draw: expected at least one")
     name, data = next(iter(episodes.items()))
-    bars = 0.26 * len(episodes) + 0.25
-    height = max(3.4 + 1.0 * len(scene_class(data).planes), 2.9 + bars)
+    bars, radio = 0.26 * len(episodes) + 0.25, 0.0 if data.heard is None else 0.9
+    height = max(3.4 + 1.0 * len(scene_class(data).planes), 2.9 + bars) + radio
     figure = new_figure(width, height, dpi)
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
     _maps(left, data, name)
-    timeline, shares = right.subplots(2, 1, height_ratios=(height - 0.9 - bars, bars))
-    _timeline(timeline, data, name)
-    _shares(shares, episodes)
+    heights = [height - 0.9 - bars - radio, *[radio] * (data.heard is not None), bars]
+    panels = right.subplots(len(heights), 1, height_ratios=heights)
+    _timeline(panels[0], data, name)
+    if data.heard is not None:
+        draw_radio(panels[1], data)
+    _shares(panels[-1], episodes)
     handles = [
         Line2D([], [], color=AGENT, lw=1.3, marker=">", ms=5, label=f"agent ({name})"),
         Line2D([], [], color=GREY, lw=0.8, label="target"),
@@ -67,7 +72,7 @@ def replay_figure(
 def _maps(part: SubFigure, data: EpisodeData, name: str) -> None:
     """Draw a map for each pair of axes of the space, one above the other, on one scale."""
     planes = scene_class(data).planes
-    points = np.concatenate([data.truth[data.present], positions(data.pose)])
+    points = np.concatenate([data.truth[data.present], positions(data.poses).reshape(-1, data.truth.shape[-1])])
     low, high = points.min(axis=0), points.max(axis=0)
     pad = max(0.05 * (high - low).max(), 0.5)
     heights = [(high - low + 2 * pad)[up] for _, up in planes]
@@ -83,8 +88,8 @@ def _maps(part: SubFigure, data: EpisodeData, name: str) -> None:
 
 
 def _map(axes: Axes, data: EpisodeData, plane: tuple[int, int]) -> None:
-    """Draw tracks, their seen parts, the agent's path and obstacles, in the plane of two axes of the world."""
-    truth, arc = data.truth[..., plane], data.arc()
+    """Draw tracks, their seen parts, the agents' paths and obstacles, in the plane of two axes of the world."""
+    truth = data.truth[..., plane]
     if data.walls is not None and len(data.walls.low) == 2:
         draw(axes, data.walls)
     elif data.walls is not None:
@@ -92,10 +97,11 @@ def _map(axes: Axes, data: EpisodeData, plane: tuple[int, int]) -> None:
     axes.plot(*broken(truth, data.present).T, color=GREY, lw=0.6, alpha=0.8)
     ends = np.stack([truth[:-1], truth[1:]], axis=2)
     axes.add_collection(LineCollection(list(ends[data.visible & data.counted]), colors=SEEN, lw=2.2, zorder=3))
-    path, nose = positions(arc)[:, plane], rotation(arc[0])[plane, 0]
-    axes.plot(*path.T, color=AGENT, lw=1.1, alpha=0.85, zorder=4)
-    heading = (3, 0, np.degrees(np.arctan2(nose[1], nose[0])) - 90)
-    axes.plot(*path[0], color=AGENT, marker=heading, ms=9, mec="white", mew=0.8, zorder=5)
+    for i, poses in enumerate(np.moveaxis(data.poses, 1, 0)):
+        path, nose = positions(arc(poses, SUBSTEPS))[:, plane], rotation(poses[0])[plane, 0]
+        axes.plot(*path.T, color=AGENT, lw=0.6 if i else 1.1, alpha=0.85, zorder=4)
+        heading = (3, 0, np.degrees(np.arctan2(nose[1], nose[0])) - 90)
+        axes.plot(*path[0], color=AGENT, marker=heading, ms=7 if i else 9, mec="white", mew=0.8, zorder=5)
     axes.set_aspect("equal", adjustable="datalim")
     clean(axes)
     for set_label, axis in zip((axes.set_xlabel, axes.set_ylabel), plane, strict=True):

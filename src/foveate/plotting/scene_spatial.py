@@ -15,6 +15,7 @@ from foveate.geometry.numpy_poses import placed, positions
 from foveate.io.figures import BLACK, GREY, SKY
 from foveate.plotting.ellipsoids import box_lines, contours, faces, half_widths, lifted, meridians
 from foveate.plotting.episode_data import EpisodeData
+from foveate.plotting.mates_spatial import DART, DART_COLORS, DART_FACES, SpatialMates
 from foveate.plotting.scene import (
     AGENT,
     BORDER,
@@ -29,10 +30,6 @@ from foveate.plotting.scene import (
 )
 from foveate.plotting.snapshot import snapshot
 from foveate.plotting.walls import WALL, loops
-
-DART = np.array([[1.1, 0, 0], [-0.8, 0.65, 0], [-0.8, -0.65, 0], [-0.8, 0, 0.5]])
-DART_FACES, DART_COLORS = ((0, 1, 3), (0, 2, 3), (0, 1, 2), (1, 2, 3)), (AGENT, "#00568A", "#003A5E", "#003A5E")
-"""Agent, its nose along +x and its fin up, lit from its left."""
 
 ELEVATION, AZIMUTH, SWING = 27.0, -62.0, 36.0
 """Direction of the camera, and its turn about the scene during an animation [degrees]."""
@@ -50,8 +47,9 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
     """
     core, soft = [], []
     for data in episodes:
-        core += [data.truth[data.present], positions(data.pose)]
-        soft += [placed(pose, line) for pose in data.pose for line in data.outline]
+        poses = data.poses.reshape(-1, *data.pose.shape[1:])
+        core += [data.truth[data.present], positions(poses)]
+        soft += [placed(pose, line) for pose in poses for line in data.outline]
         mean, covariance = data.estimate[data.believed], data.covariance[data.believed]
         width = half_widths(covariance)
         soft += [mean - width * [1, 1, 0], mean + width]
@@ -157,6 +155,7 @@ class SpatialScene:
         self.seen_means = line(SEEN, zorder=6.2, ls="none", marker="o", ms=6.5 * scale, mec="white", mew=0.5 * scale)
         self.targets = line(BLACK, ls="none", marker="s", ms=3.0 * scale, zorder=7)
         self.agent = area(DART_COLORS, 8.0, edgecolors="white", linewidths=0.4 * scale)
+        self.mates = None if data.mates is None else SpatialMates(axes, data, trail, self.size, scale)
 
     @property
     def artists(self) -> list[Artist]:
@@ -179,6 +178,8 @@ class SpatialScene:
         self.view_shadow.set_verts([self._on_floor(wall) for wall in walls])
         self.edges.set_segments([placed(state.pose, line) for line in self.data.outline])
         self.agent.set_verts([placed(state.pose, self.size * DART[list(face)]) for face in DART_FACES])
+        if self.mates is not None:
+            self.mates.show(state.pose, moment)
         self.targets.set_data_3d(*state.truth.T)
         seen = self.seen, self.seen_net, self.seen_means, state.seen
         unseen = self.unseen, self.unseen_net, self.unseen_means, ~state.seen

@@ -1,7 +1,7 @@
 """Compare methods on a recording: each drives through it from the same starts, with the same noise."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,88 +9,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from foveate.errors import InputError
-from foveate.experiment.experiment import Experiment
 from foveate.experiment.resolve import NamedPolicy, Subject, subject_of
 from foveate.experiment.subjects import other_period
-from foveate.io.files import write_document
 from foveate.io.progress import Bar
-from foveate.io.tables import Table, html, text
-from foveate.io.validate import seed_number
 from foveate.names import GATE, Part
 from foveate.recordings import replay as replays
-from foveate.recordings.choice import Candidate, best_of
+from foveate.recordings.choice import best_of
 from foveate.recordings.formats import AnyPath, load_window
 from foveate.recordings.maps import under, warnings_of
-from foveate.recordings.measures import PreparedReplay, ReplayRow
 from foveate.recordings.methods import method_in, replay_methods
 from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.outliers import prepared
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording, moved
 from foveate.recordings.replay import prepare_replay
-from foveate.recordings.replay_table import replay_table
+from foveate.recordings.results import ReplayResult, ReplaySettings
 from foveate.recordings.scans import detecting, outside
-from foveate.recordings.split import Shares, parsed_split, part_of, span_of
+from foveate.recordings.split import parsed_split, part_of, span_of
 from foveate.recordings.starts import agent_starts
 from foveate.scenario.scenario import Scenario
-from foveate.simulation.records import Policy, Trace
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReplaySettings:
-    """Settings of a replay beside the experiment and the recording; times in [s], poses in [m, rad].
-
-    With a `split`, `part` was replayed. `candidates` were compared on the part to choose on; `run` is the best of them.
-    `map`: the file of the robot's map, if one was given.
-    """
-
-    run: str
-    recording: str
-    seed: int
-    gate: float | None
-    start_s: float | None
-    end_s: float | None
-    max_gap_s: float
-    starts: list[list[float]]
-    split: Shares | None = None
-    part: Part | None = None
-    candidates: tuple[Candidate, ...] = ()
-    map: str | None = None
-
-    def __post_init__(self) -> None:
-        seed_number(self.seed, "seed")
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class ReplayResult:
-    """Results of methods on a recording; shows itself as a table of means over the starts.
-
-    `rows`: one for each method and start (`recordings.replay.ReplayRow`). `warnings`: reasons to doubt them. `traces`:
-    of each method from the first start, for pictures.
-    """
-
-    experiment: Experiment
-    recording: Recording
-    settings: ReplaySettings
-    rows: tuple[ReplayRow, ...]
-    warnings: tuple[str, ...]
-    traces: dict[str, tuple[PreparedReplay, Trace]]
-
-    @property
-    def table(self) -> Table:
-        """Means over the starts, one line a method."""
-        return replay_table(self.settings.recording, self.rows)
-
-    def to_json(self, path: str | Path) -> None:
-        """Write the rows as JSON, as `foveate replay --json`."""
-        content = replays.result(self.rows, self.experiment, self.recording, asdict(self.settings))
-        write_document(path, "replay", replays.VERSION, content)
-
-    def __repr__(self) -> str:
-        return text(self.table)
-
-    def _repr_html_(self) -> str:
-        return html(self.table)
+from foveate.simulation.records import Policy
 
 
 def replay(
@@ -126,7 +64,7 @@ def replay(
         split: shares of that time to train on, to choose on and to judge on, as "60,20,20".
         part: part of the split to replay: "train", "choose" or "judge".
         candidates: further policies; the best of all on the part to choose on is replayed on the part to judge on.
-        agent_start: pose to start from [m, rad], on the recording's map if that is in metres; by default its middle.
+        agent_start: pose on the recording's map [m, rad], by default its middle; or those of all robots of a team.
         starts: number of starts; more than one are random.
         max_gap: longest gap between two fixes over which a target counts as present [s].
         max_speed: fastest that a target can move [m/s], by default far above its usual steps; infinity keeps all.

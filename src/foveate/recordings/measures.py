@@ -13,10 +13,13 @@ from foveate.evaluation.rows import with_numbers
 from foveate.models.detections.records import DetectionModel
 from foveate.models.problem import Problem
 from foveate.recordings.recording import Slots
+from foveate.recordings.team import RobotRow, rejected, team_measures
 from foveate.simulation.records import Episode, Protocol, Trace
 
 OF_DETECTIONS = ("gospa", "gospa_localisation", "gospa_missed", "gospa_false", "dropped")
 """Fields of rows of detections without ids alone."""
+OF_TEAMS = ("agents", "worst_log_det_mean", "members_nees", "robots")
+"""Fields of rows of teams alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +40,10 @@ class ReplayRow:
 
     `contacts` counts the agent's steps that an obstacle has ended, and `in_obstacles` the instants of targets that are
     inside of one, by the map; null without obstacles.
+
+    Of a team of `agents` robots, whose poses follow each other in `agent_start`, the beliefs are those of one filter
+    that hears every measurement; `rejected` and `contacts` are all robots'. `robots` has the measures of each by its
+    own beliefs, `worst_log_det_mean` the least of their `log_det_mean`, `members_nees` the mean of their `nees`.
     """
 
     method: str
@@ -64,10 +71,17 @@ class ReplayRow:
     dropped: int | None = None
     contacts: int | None = None
     in_obstacles: int | None = None
+    agents: int | None = None
+    worst_log_det_mean: float | None = None
+    members_nees: float | None = None
+    robots: tuple[RobotRow, ...] | None = None
 
     def record(self) -> dict[str, Any]:
-        """All fields as plain values; those of detections without ids only there, and 0 for the errors of no track."""
-        left_out = OF_DETECTIONS if self.gospa is None else ()
+        """All fields as plain values; those of detections without ids and of teams only there.
+
+        The errors of no track are 0.
+        """
+        left_out = (*(OF_DETECTIONS if self.gospa is None else ()), *(OF_TEAMS if self.robots is None else ()))
         return with_numbers({name: value for name, value in asdict(self).items() if name not in left_out})
 
 
@@ -119,11 +133,12 @@ def measured(ready: PreparedReplay, method: str, trace: Trace, step_time_s: floa
         seen_time_fraction=mean_or_zero(visible[counted]),
         longest_unseen_s=longest,
         lost=lost,
-        rejected=0 if trace.rejections is None else int((np.diff(trace.rejections, axis=0, prepend=0) > 0).sum()),
+        rejected=rejected(trace),
         step_time_s=step_time_s,
         contacts=None if trace.contacts is None else int(trace.contacts[-1]),
         in_obstacles=None if ready.inside is None else int(ready.inside.sum()),
         **errors,
+        **team_measures(trace, counted),
     )
 
 

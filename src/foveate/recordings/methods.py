@@ -17,14 +17,14 @@ PROTOCOL = "true"
 def replay_methods(method: str | Sequence[str], has_ids: bool = True) -> tuple[str, ...]:
     """Methods' names, each once; "all" are the policy and all heuristics. Raises InputError for an unknown name.
 
-    Those that search are of detections without ids.
+    Those that search are of detections without ids, and NAME+RULE assigns targets to the robots of a team.
     """
     known = METHODS if has_ids else (*METHODS, *SEARCHERS)
     names: list[str] = []
     for name in [method] if isinstance(method, str) else method:
         if online_planner(name) is not None:
             names.append(name)
-        elif name in (*known, "all"):
+        elif name.partition("+")[0] in (*known, "all"):
             names += methods_of(name, has_ids)
         else:
             planners = "or a planner: icr, icr-STARTS, refine-STEPS"
@@ -33,9 +33,15 @@ def replay_methods(method: str | Sequence[str], has_ids: bool = True) -> tuple[s
 
 
 def method_in(subject: Subject, name: str, box_world: Float[Array, "2 d"], steps: int) -> Policy:
-    """The policy, heuristic or planner of a name, for a replay of this number of steps in a box [m]."""
+    """The policy, heuristic or planner of a name, for a replay of this number of steps in a box [m].
+
+    Raises InputError for a planner in a team, and an assignment without one.
+    """
     options = online_planner(name)
     if options is None:
         return subject.policy(name, box_world)
+    if (team := subject.experiment.scenario.problem().team) is not None:
+        right = "planners decide for single robots"
+        raise InputError(f"method {name!r}: expected no planner, with scenario.team.agents = {team.agents}: {right}")
     refined = None if options.refine is None else subject.network()
     return options.planner(subject.experiment.scenario.problem(), PROTOCOL, refined, steps)

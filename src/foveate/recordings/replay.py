@@ -22,6 +22,7 @@ from foveate.recordings.maps import in_obstacles, require_dimension
 from foveate.recordings.measures import PreparedReplay, ReplayRow, measured
 from foveate.recordings.recording import Recording, Slots, resample
 from foveate.recordings.scans import with_scans
+from foveate.recordings.team import first_poses, team_draws
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import first_error, first_mean
 from foveate.simulation.records import TRUE, Arrivals, Episode, Policy, Trace, Truth
@@ -46,29 +47,31 @@ def prepare_replay(
 ) -> PreparedReplay:
     """Sample the recording at the scenario's control period and draw the noise of its measurements from `seed`.
 
-    The filter rejects measurements outside the chi-square `gate` of that probability (see `models.gate`); that of
-    detections without ids has its own. Raises InputError where recording and scenario do not fit: dimensions, states
-    without positions, a schedule, or positions too far from the origin for float32.
+    `agent_start` has the numbers of a pose [m, rad], of a team those of all robots, one pose after another. The filter
+    rejects measurements outside the chi-square `gate` of that probability (see `models.gate`); that of detections
+    without ids has its own. Raises InputError where recording and scenario do not fit: dimensions, states without
+    positions, a schedule, or positions that float32 does not resolve.
     """
     problem = scenario.problem()
     _check(scenario, problem, recording)
     slots = resample(recording, float(scenario.tau_s), float(max_gap_s))
     warn_of_rounding(problem, int(np.bincount(slots.track_index[slots.present]).max()))
     truth = _states(problem, slots)
-    steps, n, n_y = truth.shape[0] - 1, truth.shape[1], truth.shape[2]
+    (instants, n, n_y), steps = truth.shape, len(truth) - 1
     rng = np.random.default_rng([seed, 0x7265706C])  # independent of the streams that evaluations draw from a seed
-    error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((steps + 1, n, n_y)), float))
+    error = first_error(problem, scenario.scenes, jnp.asarray(rng.standard_normal((instants, n, n_y)), float))
     state, present = jnp.asarray(truth, float), jnp.asarray(slots.present)
     noise = jnp.asarray(rng.standard_normal((steps, n, problem.sensor.size)), float)
-    means = first_mean(problem, scenario.scenes, state + error, newcomer=True)
+    poses, means = first_poses(problem, agent_start), first_mean(problem, scenario.scenes, state + error, newcomer=True)
     episode = Episode(
-        pose=problem.agent.space.from_numbers(agent_start),
+        pose=poses[0],
         mean=means[0],
         present=present[0],
         inputs=jnp.zeros((steps, n, problem.motion.input_size)),
         horizon=jnp.asarray(steps),
         truth=Truth(state=state, measurement_noise=noise),
         arrivals=Arrivals(present=present, mean=means),
+        team=team_draws(problem, poses, steps, n, seed),
     )
     protocol = TRUE._replace(gate=gate_limit(gate, problem.sensor.size))
     if problem.detections is not None:  # its filter has the gate

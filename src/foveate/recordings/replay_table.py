@@ -27,6 +27,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "lost": ("lost", ".1f"),
     "rejected": ("rejected", ".1f"),
     "dropped": ("dropped", ".1f"),
+    "robots": ("agents", ".1f"),
+    "worst log det": ("worst_log_det_mean", ".2f"),
+    "robots' NEES": ("members_nees", ".2f"),
     "contacts": ("contacts", ".1f"),
     "in obstacles": ("in_obstacles", ".1f"),
 }
@@ -51,20 +54,54 @@ NOTE_OF_OBSTACLES = (
     " contacts: steps that an obstacle has ended. in obstacles: instants at which a recorded target is inside of one "
     "by the map."
 )
+OF_TEAMS = ("robots", "worst log det", "robots' NEES")
+NOTE_OF_TEAMS = (
+    " Of a team these are of all measurements; worst log det: the least that the own beliefs of any robot give; "
+    "robots' NEES: that of their own beliefs."
+)
+ROBOT_COLUMNS: dict[str, tuple[str, str]] = {
+    "in view": ("seen_time_fraction", ".1%"),
+    "log det [nat]": ("log_det_mean", ".2f"),
+    "NEES": ("nees", ".2f"),
+    "heard": ("heard_fraction", ".1%"),
+}
+"""Heading of each mean in the table of robots: the field of `RobotRow`, and its format."""
+NOTE_OF_ROBOTS = (
+    "in view: share of all target-steps that the robot has measured itself. log det and NEES: of its own beliefs. "
+    "heard: share of the other robots' messages that have reached it."
+)
 
 
 def replay_table(recording: str, rows: Sequence[ReplayRow]) -> Table:
     """Means of each method over the starts, of the rows of a recording of this name."""
     by_method = group_by(rows, lambda row: row.method)
     has_ids, in_map = rows[0].gospa is None, rows[0].contacts is not None
-    left_out = {*(WITHOUT_IDS if has_ids else DETAILS), *(() if in_map else OF_OBSTACLES)}
+    in_team = rows[0].agents is not None
+    left_out = {
+        *(WITHOUT_IDS if has_ids else DETAILS),
+        *(() if in_map else OF_OBSTACLES),
+        *(() if in_team else OF_TEAMS),
+    }
     shown = [name for name in COLUMNS if name not in left_out]
     lines = [(method, *(_text(ours, name) for name in shown)) for method, ours in by_method.items()]
     starts = counted(max(map(len, by_method.values())), "start")
     title = f"{recording}: {counted(rows[0].targets, 'track')}, mean of {starts}"
     note, details = (NOTE, DETAILS) if has_ids else (NOTE_WITHOUT_IDS, DETAILS_WITHOUT_IDS)
-    note += NOTE_OF_OBSTACLES * in_map
+    note += NOTE_OF_OBSTACLES * in_map + NOTE_OF_TEAMS * in_team
     return Table(title=title, note=note, header=("method", *shown), rows=tuple(lines), details=details)
+
+
+def robots_table(recording: str, rows: Sequence[ReplayRow]) -> Table | None:
+    """Means over the starts for every robot of a team under each method; None of a single robot."""
+    lines = []
+    for method, ours in group_by(rows, lambda row: row.method).items():
+        for m, robot in enumerate(zip(*(row.robots or () for row in ours), strict=True)):
+            means = [_mean([getattr(each, field) for each in robot], form) for field, form in ROBOT_COLUMNS.values()]
+            lines.append((method, str(m + 1), *means))
+    if not lines:
+        return None
+    header = ("method", "robot", *ROBOT_COLUMNS)
+    return Table(title=f"{recording}: each robot", note=NOTE_OF_ROBOTS, header=header, rows=tuple(lines), keys=2)
 
 
 def _text(rows: Sequence[ReplayRow], name: str) -> str:

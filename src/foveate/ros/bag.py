@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from foveate.deploy import kalman
 from foveate.errors import InputError
-from foveate.recordings.compare import ReplayResult
 from foveate.recordings.definitions import typestore
 from foveate.recordings.measures import PreparedReplay
+from foveate.recordings.results import ReplayResult
 from foveate.ros.markers import belief_shapes, quaternion_of, truth_shapes, view_shapes
 from foveate.ros.messages import Messages, position_of, stamp_of
 from foveate.ros.node import MOST_TOPICS, topic_name
@@ -38,8 +38,10 @@ class Published(NamedTuple):
 def write_bag(result: ReplayResult, path: Path) -> str:
     """Write the first method of a result, from the first start; return its name. Raises as `write_replay`.
 
-    Raises InputError for detections without ids, too: beliefs in a bag are by the ids of targets.
+    Raises InputError for detections without ids, too: beliefs in a bag are by the ids of targets; and for a team.
     """
+    if result.experiment.scenario.problem().team is not None:
+        raise InputError(f"{path}: expected a folder, for a team: a bag holds the beliefs of one robot")
     if result.experiment.scenario.detections is not None:
         raise InputError(f"{path}: expected a folder, with detections without ids: a bag has beliefs by id")
     method = next(iter(result.traces))

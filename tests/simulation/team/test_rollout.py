@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from foveate.errors import InputError
 from foveate.evaluation.metrics import chi_square_band
@@ -18,7 +19,7 @@ from foveate.scenario.sensor import SensorSettings
 from foveate.scenario.target import VelocityTarget
 from foveate.scenario.team import RadioSettings, TeamSettings
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.records import SURROGATE, TRUE
+from foveate.simulation.records import SURROGATE, TRUE, Arrivals
 from foveate.simulation.rollout import log_dets, rollout
 
 M, K, N = 3, 8, 2
@@ -116,6 +117,98 @@ def test_every_robot_is_the_kalman_filter_of_what_it_has_heard(name):
                 error = mean - episode.truth.state[k + 1, target]
                 np.testing.assert_allclose(trace.team.log_det[k, m, target], -np.linalg.slogdet(P)[1], atol=1e-8)
                 np.testing.assert_allclose(trace.team.nees[k, m, target], error @ np.linalg.solve(P, error), atol=1e-6)
+
+
+STEPS, JUMP = 14, 3
+GATED = TRUE._replace(gate=float(chi2.ppf(0.9999, 2)))
+
+
+@functools.lru_cache
+def play_a_jump(radio):
+    """Robots that see all around: target 0 jumps away, target 1 is away for some steps and begins again."""
+    scenes = replace(SCENARIO.scenes, steps=STEPS)
+    view = SectorView(depth_m=20.0, angle_deg=360.0)
+    scenario = team_of(radio, sensor=PLAIN, scenes=scenes, view=view)
+    problem = scenario.problem()
+    policy = heuristic_policy("still", problem, 6.0)
+
+    def run(key):
+        episode = training_episode(problem, scenario.scenes, key, noise=True)
+        state = episode.truth.state.at[JUMP:, 0, :2].add(8.0)
+        present = jnp.ones((STEPS + 1, N), bool).at[4:7, 1].set(False)
+        mean = state + jax.random.normal(jax.random.fold_in(key, 1), state.shape)
+        episode = replace(
+            episode, truth=replace(episode.truth, state=state), arrivals=Arrivals(present, mean), present=present[0]
+        )
+        return episode, rollout(problem, policy, episode, GATED, key)
+
+    return problem, *jax.tree.map(np.asarray, jax.jit(run)(jax.random.key(2)))
+
+
+def gated_filters(problem, episode, trace):
+    """Means, covariances (K, M, N, ..) and restarts of robots that gate their own measurements, in plain numpy."""
+    A, W, H = (np.asarray(x) for x in (problem.motion.A, problem.motion.W, problem.sensor.H))
+    prior = np.linalg.inv(problem.prior_information)
+    events, known, rejections, found, restarts = {}, [set() for _ in range(M)], np.zeros((M, N), int), [], []
+
+    def believed(measured, last, target):
+        """The filter of the events (step, source) up to a step: (mean, P)."""
+        mean, P = episode.mean[target], prior
+        for k in range(last + 1):
+            mean, P = A @ mean, A @ P @ A.T + W
+            if episode.arrivals.present[k + 1, target] and not episode.arrivals.present[k, target]:
+                mean, P = episode.arrivals.mean[k + 1, target], prior
+            mine = [events[k, m, target] for m in range(M) if (k, m) in measured and (k, m, target) in events]
+            mean, P = next((begun for kind, begun in mine if kind == "restart"), (mean, P))
+            for z, V in [given for kind, given in mine if kind == "measured"]:
+                gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
+                mean, P = mean + gain @ (z - H @ mean), P - gain @ H @ P
+        return mean, P
+
+    for k in range(STEPS):
+        for target in range(N):
+            for m in range(M):
+                if not episode.arrivals.present[k : k + 2, target].all():
+                    rejections[m, target] *= not episode.arrivals.present[k + 1, target]
+                    continue
+                mean, P = believed(known[m], k - 1, target)
+                mean, P = A @ mean, A @ P @ A.T + W
+                z, V = measurement(problem, episode, trace, k, m, target)
+                error = z - H @ mean
+                if error @ np.linalg.solve(H @ P @ H.T + V, error) <= GATED.gate:
+                    events[k, m, target], rejections[m, target] = ("measured", (z, V)), 0
+                elif rejections[m, target] == 4:
+                    velocity = np.diag([0.0, 0.0, 1.0, 1.0])
+                    fresh = np.concatenate([z, [0.0, 0.0]]), H.T @ V @ H + velocity @ prior @ velocity
+                    events[k, m, target], rejections[m, target] = ("restart", fresh), 0
+                    restarts.append((k, m, target))
+                else:
+                    rejections[m, target] += 1
+        known = [own | {(k, m)} for m, own in enumerate(known)]
+        known = [known[i].union(*(known[j] for j in range(M) if trace.team.heard[k, i, j])) for i in range(M)]
+        found.append([[believed(known[m], k, target) for target in range(N)] for m in range(M)])
+        np.testing.assert_array_equal(trace.team.rejections[k], rejections)
+    return found, restarts
+
+
+@pytest.mark.parametrize("name", ["always", "lossy", "never"])
+def test_targets_that_appear_and_beliefs_that_restart_are_told(name):
+    radio = replace(RADIOS[name], range_m=20.0, memory_steps=STEPS) if name == "lossy" else RADIOS[name]
+    problem, episode, trace = play_a_jump(radio)
+    found, restarts = gated_filters(problem, episode, trace)
+    assert {target for _, _, target in restarts} == {0}
+    np.testing.assert_array_equal(trace.present, episode.arrivals.present)
+    for k, m, target in np.ndindex(STEPS, M, N):
+        if not episode.arrivals.present[k + 1, target]:
+            continue
+        mean, P = found[k][m][target]
+        error = mean - episode.truth.state[k + 1, target]
+        np.testing.assert_allclose(trace.team.log_det[k, m, target], -np.linalg.slogdet(P)[1], atol=1e-8)
+        np.testing.assert_allclose(
+            trace.team.nees[k, m, target], error @ np.linalg.solve(P, error), rtol=1e-6, atol=1e-6
+        )
+    np.testing.assert_allclose(trace.information[7, 1], problem.prior_information)
+    np.testing.assert_allclose(trace.mean[7, 1], episode.arrivals.mean[7, 1])
 
 
 def test_who_is_heard_follows_range_and_loss():

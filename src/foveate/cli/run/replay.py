@@ -34,7 +34,8 @@ def run(options: Replay) -> int:
         seed=options.seed,
         map=options.map,
     )
-    print_tables(result.table, wide=options.wide)
+    robots = result.robots_table
+    print_tables(result.table, *([] if robots is None else [robots]), wide=options.wide)
     if options.json is not None:
         result.to_json(options.json)
     if options.out is not None and is_bag:

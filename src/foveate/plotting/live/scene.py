@@ -15,8 +15,9 @@ from foveate.geometry.numpy_poses import rotation
 from foveate.io.figures import BLACK, GREY, PURPLE, SKY
 from foveate.plotting.ellipsoids import CIRCLE, box_lines, faces, is_closed, lifted, principal_axes
 from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData
+from foveate.plotting.mates_spatial import DART, DART_FACES
 from foveate.plotting.scene import AGENT, BORDER, SEEN, UNSEEN
-from foveate.plotting.scene_spatial import DART, DART_FACES, scene_class
+from foveate.plotting.scene_spatial import scene_class
 from foveate.plotting.snapshot import snapshot
 from foveate.plotting.undetected import DARKEST
 from foveate.plotting.walls import WALL, loops

@@ -70,7 +70,7 @@ def recorded(
     subject = replace(subject, experiment=replace(subject.experiment, scenario=scenario))
     gap_s = default_max_gap_s(recording) if max_gap is None else max_gap
     box_world = jnp.asarray(np.stack(recording.extent), float)
-    ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario), gap_s, seed)
+    ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario, seed), gap_s, seed)
 
     def episode(scene: str, method: str) -> EpisodeData:
         _, trace = drive(ready, method, subject.policy(method, box_world))

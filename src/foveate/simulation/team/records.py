@@ -36,7 +36,8 @@ class TeamTrace(eqx.Module):
     """Record of every robot of a team, beside that of what all of them have measured.
 
     `log_det` and `nees` are those of each robot's own beliefs after each step, `visible` marks what it has measured,
-    `heard` the senders (columns) whose message of this step reaches a receiver (rows).
+    `heard` the senders (columns) whose message of this step reaches a receiver (rows). `rejections` counts the
+    measurements in a row that a robot's gate has rejected; None without a gate.
     """
 
     pose: Float[Array, "instants M ..."]
@@ -45,3 +46,4 @@ class TeamTrace(eqx.Module):
     nees: Float[Array, "K M n"]
     visible: Bool[Array, "K M n"]
     heard: Bool[Array, "K M M"]
+    rejections: Int[Array, "K M n"] | None = None

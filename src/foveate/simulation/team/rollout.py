@@ -108,10 +108,12 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         error = robots.mean - truth[robots.step[0]]
         weighed = jnp.einsum("mnij,mnj->mni", robots.information[:, -1], error, precision="highest")
         own = (outcome.action, log_det_spd(robots.information[:, -1]), jnp.sum(error * weighed, axis=-1))
-        return robots.pose, central, own, outcome.drafts.measured, robots.contacts, outcome.heard
+        counts = robots.present[0], robots.contacts, robots.rejections
+        return robots.pose, central, own, outcome.drafts.measured, counts, outcome.heard
 
     _, found = simulate(problem, decider(policy), episode, protocol, key, record, memory=memory)
-    pose, central, (action, log_det, nees), visible, contacts, heard = found
+    pose, central, (action, log_det, nees), visible, (present, contacts, rejections), heard = found
+    own = {"action": action, "log_det": log_det, "nees": nees, "visible": visible, "heard": heard}
     first = step.start(problem.of_map(episode.map_number), episode, protocol)
     poses = jnp.concatenate([first.robots.pose[None], pose])
     mean, information = (
@@ -124,7 +126,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         information=information[:, -1],
         log_det=log_det_spd(information[1:, -1]),
         visible=jnp.any(visible, axis=1),
-        present=jnp.broadcast_to(episode.present, (len(mean), *episode.present.shape)),
+        present=jnp.concatenate([first.robots.present[:1], present]),
         contacts=None if contacts is None else jnp.sum(contacts, axis=1),
-        team=TeamTrace(pose=poses, action=action, log_det=log_det, nees=nees, visible=visible, heard=heard),
+        team=TeamTrace(pose=poses, rejections=rejections, **own),
     )

@@ -22,7 +22,7 @@ from foveate.simulation.records import Episode, Instant, Observation, Protocol, 
 from foveate.simulation.team import window
 from foveate.simulation.team.radio import Roster, first_roster, links, merged, own_news, views
 from foveate.simulation.team.records import TeamDraws
-from foveate.simulation.team.window import Beliefs, Message, Window
+from foveate.simulation.team.window import Beliefs, Fresh, Message, Window
 from foveate.types import Action, Count
 
 
@@ -58,7 +58,8 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> TeamState:
     if radio.kind != "lossy":
         return TeamState(robots, central, roster)
     beliefs = Beliefs(robots.mean, robots.information)
-    begun, mail = window.first_window(problem, beliefs, max(1, len(protocol.levels))), None
+    has_fresh = episode.arrivals is not None or protocol.gate is not None
+    begun, mail = window.first_window(problem, beliefs, max(1, len(protocol.levels)), has_fresh), None
     if radio.delay:
         silence = jnp.zeros((len(poses), len(poses)), bool)
         one = Mail(Message(begun.knows, beliefs), roster, silence)
@@ -103,7 +104,8 @@ def act(
     number = predicted.step[0]
     reference = predicted.mean[0]
     evidence = jax.vmap(lambda draft: _evidence(problem, draft, reference))(drafts)
-    measured = window.Step(evidence, reference, instant.known_input)
+    fresh = jax.vmap(_fresh)(drafts) if drafts.restart is not None or instant.arrivals is not None else None
+    measured = window.Step(evidence, reference, instant.known_input, fresh)
     one = jax.tree.map(lambda x: x[None], state.central)
     everything = jnp.ones((1, len(action)), bool)
     central = jax.tree.map(lambda x: x[0], window.updated(problem, one, measured, everything, number))
@@ -178,16 +180,29 @@ def _drafts(
     return jax.vmap(draft)(predicted, action, noise, mates)
 
 
+def _fresh(draft: Draft) -> Fresh:
+    """Beliefs that a robot's own step has begun."""
+    begins = jnp.zeros_like(draft.measured) if draft.restart is None else draft.restart[0]
+    if draft.instant.arrivals is not None:
+        begins = begins | (draft.state.present & ~draft.predicted.present)
+    return Fresh(begins, draft.state.mean, draft.state.information[-1])
+
+
 def _evidence(problem: Problem, draft: Draft, reference: Float[Array, "n n_y"]) -> Evidence:
     """What one robot has measured of every target in a step."""
+    before, corrected, measured, weight = draft.predicted, draft.state.mean, draft.measured, draft.weight
+    if draft.restart is not None or draft.instant.arrivals is not None:
+        # A belief that begins is told as such: its mean is no correction of the one before, and nothing is beside it.
+        begins = _fresh(draft).begins
+        measured, weight = measured & ~begins, jnp.where(begins, 0.0, weight)
+        corrected = jnp.where(begins[:, None], before.mean, corrected)
     gain = jax.vmap(problem.sensor.information)(draft.covariance) if draft.gain is None else draft.gain
-    taken = jnp.where(draft.measured[:, None, None], gain, 0.0)
-    weighed = draft.weight[..., None, None] * gain
-    growth = jnp.where(draft.weight[..., None, None] > 0, weighed, 0.0)
+    taken = jnp.where(measured[:, None, None], gain, 0.0)
+    weighed = weight[..., None, None] * gain
+    growth = jnp.where(weight[..., None, None] > 0, weighed, 0.0)
 
     def of(mean, information, gain, growth, corrected, reference):
         return evidence_of(Belief(mean, information), gain, growth, corrected, reference)
 
-    before = draft.predicted
     each = jax.vmap(of, (0, 0, 0, 1, 0, 0))
-    return each(before.mean, before.information[-1], taken, growth, draft.state.mean, reference)
+    return each(before.mean, before.information[-1], taken, growth, corrected, reference)

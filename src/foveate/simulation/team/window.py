@@ -28,12 +28,24 @@ class Beliefs(NamedTuple):
     information: Float[Array, "*b levels n n_y n_y"]
 
 
+class Fresh(NamedTuple):
+    """Beliefs that begin in a step, by each robot: of targets that appear, and where its gate restarts one."""
+
+    begins: Bool[Array, "*L M n"]
+    mean: Float[Array, "*L M n n_y"]
+    information: Float[Array, "*L M n n_y n_y"]
+
+
 class Step(NamedTuple):
-    """What all robots have measured in a step: evidence (M, n, ..), its references, and the known inputs."""
+    """What all robots have measured in a step: evidence (M, n, ..), its references, and the known inputs.
+
+    `fresh` is None where no target appears and no gate restarts beliefs.
+    """
 
     evidence: Evidence
     reference: Float[Array, "*L n n_y"]
     known_input: Float[Array, "*L n m_y"]
+    fresh: Fresh | None = None
 
 
 class Window(eqx.Module):
@@ -54,14 +66,18 @@ class Message(NamedTuple):
     base: Beliefs
 
 
-def first_window(problem: Problem, beliefs: Beliefs, levels: int) -> Window:
-    """A window before the first step, of the beliefs (M, n, ..) that each robot begins with."""
+def first_window(problem: Problem, beliefs: Beliefs, levels: int, has_fresh: bool) -> Window:
+    """A window before the first step, of the beliefs (M, n, ..) that each robot begins with.
+
+    `has_fresh`: its steps may begin beliefs.
+    """
     assert problem.team is not None, "a window is a team's"
     (robots, n, n_y), length = beliefs.mean.shape, problem.team.radio.memory
     zero = jnp.zeros((length, robots, n, n_y, n_y), beliefs.mean.dtype)
     evidence = Evidence(zero, zero[..., 0], jnp.zeros((length, robots, n, levels, n_y, n_y), zero.dtype))
     known_input = jnp.zeros((length, n, problem.motion.input_size), zero.dtype)
-    steps = Step(evidence, zero[:, 0, ..., 0], known_input)
+    fresh = Fresh(jnp.zeros((length, robots, n), bool), zero[..., 0], zero) if has_fresh else None
+    steps = Step(evidence, zero[:, 0, ..., 0], known_input, fresh)
     return Window(steps, beliefs, jnp.zeros((robots, length, robots), bool))
 
 
@@ -123,12 +139,26 @@ def updated(problem: Problem, beliefs: Beliefs, step: Step, knows: Bool[Array, "
     share = knows.astype(beliefs.mean.dtype)
     # Robot by source times source by the rest: one product for all targets.
     known: Evidence = jax.tree.map(lambda x: jnp.tensordot(share, x, 1, precision="highest"), step.evidence)
+    begun = None if step.fresh is None else _begun(step.fresh, knows)
 
-    def of_target(mean, information, evidence, reference, known_input):
-        information = jax.vmap(predict_information, (0, None))(information, motion)
-        prediction = Belief(motion.advance(mean, known_input), information[-1])
+    def of_target(mean, information, evidence, begun, reference, known_input):
+        mean, information = (
+            motion.advance(mean, known_input),
+            jax.vmap(predict_information, (0, None))(information, motion),
+        )
+        if begun is not None:
+            begins, first, own = begun
+            mean, information = jnp.where(begins, first, mean), jnp.where(begins, own, information)
+        prediction = Belief(mean, information[-1])
         return corrected_by(prediction, evidence, reference), information + evidence.growth
 
-    of_robot = jax.vmap(of_target, (0, 1, 0, 0, 0), (0, 1))
-    of_team = jax.vmap(of_robot, (0, 0, 0, None, None))
-    return Beliefs(*of_team(*beliefs, known, step.reference, step.known_input))
+    of_robot = jax.vmap(of_target, (0, 1, 0, 0, 0, 0), (0, 1))
+    of_team = jax.vmap(of_robot, (0, 0, 0, 0, None, None))
+    return Beliefs(*of_team(*beliefs, known, begun, step.reference, step.known_input))
+
+
+def _begun(fresh: Fresh, knows: Bool[Array, "M sources"]) -> Fresh:
+    """What each robot knows of beliefs that begin in a step: of several robots' that of the first."""
+    told = knows[..., None] & fresh.begins
+    source, target = jnp.argmax(told, axis=1), jnp.arange(told.shape[-1])
+    return Fresh(jnp.any(told, axis=1), fresh.mean[source, target], fresh.information[source, target])
