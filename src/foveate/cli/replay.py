@@ -20,14 +20,13 @@ class Replay(ReadingCommand):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
+    """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     recording: Annotated[tyro.conf.Positional[tuple[Path, ...]], option("RECORDING ..")]
     """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of
     frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""
     method: Annotated[tuple[str, ...], option("NAME ..")] = ("all",)
     """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Without ids of
-    detections also explore, alternate, lookahead. For a team also NAME+RULE with the rule greedy, hungarian or auction,
-    by which the robots share the targets. Also planners in receding horizon, which take seconds to minutes:
+    detections also explore, alternate, lookahead. Also planners in receding horizon, which take seconds to minutes:
     icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part to use [s]."""
@@ -40,8 +39,7 @@ class Replay(ReadingCommand):
     candidates: Annotated[tuple[str, ...], option("RUN ..")] = ()
     """Further runs, say of other seeds: the best of all on the part to choose on is replayed on the part to judge."""
     agent_start: Annotated[str | None, option("X,Y,YAW")] = None
-    """Start pose of the agent [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording). In a team it
-    is the first robot's, and the others start at random places; or give the poses of all, one after another."""
+    """Start pose of the agent [m, rad] (x,y,z,qw,qx,qy,qz in space; default: the middle of the recording)."""
     starts: int = 1
     """Number of start poses; more than one are sampled, the same for all methods, and means are printed."""
     max_gap: Annotated[float | None, option("SECONDS")] = None

@@ -143,6 +143,13 @@ class RobotPolicy(NamedPolicy):
             raise InputError("belief, pose: expected numbers that float32 can hold, also squared")
         return command
 
+    def export(self, path: str | Path) -> None:
+        """Write an ONNX file, for a robot without JAX (extra `onnx`), as `foveate export`.
+
+        Raises InputError for a policy that remembers, or draws random numbers.
+        """
+        export(self.experiment, self.network, Path(path))
+
     def _in_map(self, number: int | None) -> Problem:
         if number is None:
             return self.problem
@@ -197,10 +204,6 @@ class TrainedPolicy(RobotPolicy):
         """
         experiment = in_scenario(self.experiment, scenario, objective)
         return replace(self, experiment=experiment, network=told(self.network, experiment), verdict=None)
-
-    def export(self, path: str | Path) -> None:
-        """Write an ONNX file, for a robot without JAX (extra `onnx`), as `foveate export`."""
-        export(self.experiment, self.network, Path(path))
 
     def save(self, folder: str | Path) -> None:
         """Write a run folder for `foveate.load` and the commands: configuration, weights and verdict.

@@ -1,7 +1,4 @@
-"""Resolution of names: runs and presets to experiments and policies, scenes and methods to lists.
-
-The package has a run folder for each preset, made by experiments/trained_presets.py.
-"""
+"""Resolution of names: runs and presets to experiments and policies, scenes and methods to lists."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +30,7 @@ from foveate.simulation.suites import own_suite, table1
 from foveate.types import Key
 
 TRAINED = Path(__file__).parent / "trained"
-"""Folder of the presets' run folders."""
+"""Folder of the presets' run folders, made by experiments/trained_presets.py."""
 Name = str | Path
 
 
@@ -44,6 +41,9 @@ class NamedPolicy:
     name: str
     experiment: Experiment
     network: Policy
+
+    def require_serves(self, scenario: Scenario) -> None:
+        """Raise InputError if bound to another robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,6 +185,7 @@ def subject_of(policy: NamedPolicy | Policy | Name, scenario: Scenario | None = 
         name, own, network = str(policy), experiment_of(policy), lambda: load(policy)[1]
     elif isinstance(policy, NamedPolicy):
         name, own, network = policy.name, policy.experiment, lambda: policy.network
+        policy.require_serves(scenario or own.scenario)
     else:
         raise InputError(f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.Policy")
     tau_s = None if own.is_for_any_robot else own.scenario.tau_s

@@ -19,13 +19,16 @@ from foveate.planning.receding import believed_future
 from foveate.policies.detour import steer_to
 from foveate.policies.rules import priced
 from foveate.simulation.records import Observation, Policy
-from foveate.types import Action, Count, Key
+from foveate.types import Action, Key, Scalar
 
 PERIODS = 5
 """Control periods that each command is simulated for."""
 
 VALUES = {1: 7, 2: 7, 3: 3}
 """Values tried on every axis by the number of axes; 2, the limits, for more: at most 49 commands, 64 for six axes."""
+
+AFTER_PRICES = 1e6
+"""More than any price [nat]."""
 
 TIE_NAT = 1e-4
 """Commands whose results differ by less are equal: they see the same targets, except for rounding."""
@@ -44,19 +47,24 @@ class DynamicWindow(Policy):
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The first action of the first of the best; stand still without a target."""
         problem, present = self.problem.at(observation.step).of_map(observation.map_number), observation.present
-        future = believed_future(
-            problem, observation, observation.known_input, PERIODS, jnp.maximum(observation.left, 1)
-        )
-        order = jnp.argsort(priced(problem, observation))
-        steering = jax.vmap(lambda target: _steering(problem, future, target, self.standoff_m))(order)
+        left = jnp.maximum(observation.left, 1)
+        future = believed_future(problem, observation, observation.known_input, PERIODS, left)
+        positions_world = problem.motion.position(future.state)
+        steering = jax.vmap(lambda path: _steering(problem, future, path, self.standoff_m), in_axes=1)(positions_world)
         constant = commands(problem.agent)
-        constant = jnp.broadcast_to(constant[:, None], (len(constant), PERIODS, constant.shape[-1]))
-        tried = jnp.concatenate([steering, constant])
-        found = jax.vmap(lambda action: mean_score(problem, future, action, None))(tried)
-        to_padding = jnp.concatenate([~present[order], jnp.zeros(len(constant), bool)])
-        found = jnp.where(to_padding, -jnp.inf, found)
-        best = tried[jnp.argmax(found >= jnp.max(found) - TIE_NAT), 0]
-        return jnp.where(present.any(), best, problem.agent.action(jnp.zeros_like(problem.agent.lower))), memory
+
+        def found(actions: Float[Array, "K m"]) -> Scalar:
+            return mean_score(problem, future, actions, None)
+
+        by_steering = jnp.where(present, jax.vmap(found)(steering), -jnp.inf)
+        by_constant = jax.vmap(lambda action: found(jnp.broadcast_to(action, (PERIODS, *action.shape))))(constant)
+        result = jnp.concatenate([by_steering, by_constant])
+        # Of equal ones steering to the target of the lowest price comes first, and the grid last, in its order.
+        later = AFTER_PRICES + jnp.arange(len(constant), dtype=constant.dtype)
+        order = jnp.concatenate([priced(problem, observation), later])
+        best = jnp.argmin(jnp.where(result >= jnp.max(result) - TIE_NAT, order, jnp.inf))
+        action = jnp.concatenate([steering[:, 0], constant])[best]
+        return jnp.where(present.any(), action, problem.agent.action(jnp.zeros_like(problem.agent.lower))), memory
 
 
 def commands(agent: Agent) -> Float[Array, "commands m"]:
@@ -68,13 +76,15 @@ def commands(agent: Agent) -> Float[Array, "commands m"]:
     return jnp.concatenate([jnp.asarray(grid, still.dtype), still[None]])
 
 
-def _steering(problem: Problem, future: Future, target: Count, standoff_m: float) -> Float[Array, "K m"]:
-    """Actions that steer to a target where it is predicted to be."""
+def _steering(
+    problem: Problem, future: Future, path_world: Float[Array, "K d"], standoff_m: Scalar | float
+) -> Float[Array, "K m"]:
+    """Actions that steer to a target where it is predicted to be [m]."""
 
-    def step(pose, state):
-        positions_world = problem.motion.position(state)
-        action = steer_to(problem, pose, positions_world[target], standoff_m)
-        obstacles = None if problem.keep_off_m is None else positions_world
+    def step(pose, now):
+        state, point_world = now
+        action = steer_to(problem, pose, point_world, standoff_m)
+        obstacles = None if problem.keep_off_m is None else problem.motion.position(state)
         return problem.move(pose, action, obstacles, future.present), action
 
-    return jax.lax.scan(step, future.pose, future.state)[1]
+    return jax.lax.scan(step, future.pose, (future.state, path_world))[1]

@@ -20,8 +20,10 @@ from filterpy.kalman import KalmanFilter
 from helpers.commands import failure
 from scipy.spatial.transform import Rotation
 
+import foveate
 from foveate.cli.main import main
 from foveate.deploy.onnx.export import OPSETS, export, inputs_of, metadata_of, to_onnx
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PAN, PAN_TILT, QUADROTOR
@@ -201,6 +203,27 @@ def test_decides_as_the_jax_policy(name):
     np.testing.assert_allclose(np.array(alone)[~tied], expected[~tied], rtol=0, atol=1e-5)
     assert (np.array(alone) >= np.asarray(single.agent.lower)).all()
     assert (np.array(alone) <= np.asarray(single.agent.upper)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "scenario"), [("window", "paper"), ("price", "quadrotor"), ("uncertain", "pan")])
+def test_heuristics_have_files_too(name, scenario, tmp_path):
+    """Those without a memory; the window's loops over its periods follow each other in the file."""
+    heuristic = foveate.heuristic(name, scenario)
+    heuristic.export(tmp_path / "policy.onnx")
+    arrays = beliefs(heuristic.experiment, 60, 6)
+    single = jax.tree.map(lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, heuristic.problem)
+    with jax.enable_x64(False):
+        network = heuristic_policy(name, single, float(heuristic.scenario.view.depth_m))
+        expected = np.asarray(decided(single, network, arrays)[0])
+    found = run(onnxruntime.InferenceSession(tmp_path / "policy.onnx"), arrays)
+    assert (np.ptp(expected, axis=0) > 0.1).all()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5)
+    belief = foveate.Belief(arrays["mean"][9], information=arrays["information"][9], present=arrays["present"][9])
+    loaded = foveate.load(tmp_path / "policy.onnx")
+    np.testing.assert_allclose(loaded(belief, arrays["pose"][9]), heuristic(belief, arrays["pose"][9]), atol=2e-5)
+    with pytest.raises(InputError, match="a memory"):
+        foveate.heuristic("lawnmower", scenario).export(tmp_path / "lawnmower.onnx")
 
 
 def test_values_in_padding_do_not_matter():

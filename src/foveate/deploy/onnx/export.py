@@ -22,6 +22,8 @@ from foveate.geometry.sight import fan
 from foveate.io.files import write_atomic
 from foveate.io.records import to_table
 from foveate.models.problem import Problem
+from foveate.policies.attention import AttentionPolicy
+from foveate.policies.pointer import PointerPolicy
 from foveate.policies.surroundings import RANGE_DEPTHS
 from foveate.policies.tokens import STANDOFF
 from foveate.scenario.scenario import Scenario
@@ -47,8 +49,13 @@ def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
     return _graph(policy, problem, DEFAULT_OPSET)[1]
 
 
-def metadata_of(experiment: Experiment, inputs: Sequence[Input], rays: int = 0) -> dict[str, str]:
-    """Metadata of a file with these inputs: texts, all but the first four of them JSON."""
+def metadata_of(
+    experiment: Experiment, inputs: Sequence[Input], rays: int = 0, heuristic: str | None = None
+) -> dict[str, str]:
+    """Metadata of a file with these inputs: texts, all but the first five of them JSON.
+
+    `heuristic` is the name of a policy that is not the experiment's.
+    """
     scenes, problem = experiment.scenario.scenes, experiment.scenario.problem()
     agent, period, sensor = problem.agent, problem.period, problem.sensor
     axes = [agent.space.axes[axis] for axis in agent.axes]
@@ -82,7 +89,8 @@ def metadata_of(experiment: Experiment, inputs: Sequence[Input], rays: int = 0) 
     if rays:
         structured["rays"] = _rays_of(problem, rays)
     plain = {"format": FORMAT, "format_version": str(VERSION), "foveate_version": __version__}
-    return {**plain, "policy": experiment.policy.kind} | {name: json.dumps(value) for name, value in structured.items()}
+    plain |= {"policy": heuristic or experiment.policy.kind, "objective": experiment.training.objective}
+    return plain | {name: json.dumps(value) for name, value in structured.items()}
 
 
 def _rays_of(problem: Problem, rays: int) -> dict[str, Any]:
@@ -132,6 +140,7 @@ def _model(experiment: Experiment, policy: Policy, opset: int) -> "tuple[ModelPr
         raise InputError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
     problem = experiment.scenario.problem()
     graph, inputs = _graph(policy, problem, opset)
+    heuristic = None if isinstance(policy, PointerPolicy | AttentionPolicy) else type(policy).__name__
     from onnx import checker, helper
 
     output = _value_info("control", "float32", ("b", len(problem.agent.axes)), "body-frame command [m/s, rad/s]")
@@ -140,7 +149,7 @@ def _model(experiment: Experiment, policy: Policy, opset: int) -> "tuple[ModelPr
     least = helper.find_min_ir_version_for(versions)
     producer = {"producer_name": "foveate", "producer_version": __version__}
     model = helper.make_model(body, opset_imports=versions, ir_version=least, **producer)
-    helper.set_model_props(model, metadata_of(experiment, inputs, rays_of(policy)))
+    helper.set_model_props(model, metadata_of(experiment, inputs, rays_of(policy), heuristic))
     checker.check_model(model, full_check=True)
     return model, inputs
 
