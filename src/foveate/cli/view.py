@@ -33,6 +33,10 @@ class View(ReadingCommand):
     max_gap: Annotated[float | None, option("SECONDS")] = None
     """Longest gap between two fixes over which a target of the recording counts as present [s] (default: 2 s, or three
     fixes of a slow clock)."""
+    detection_probability: Annotated[float | None, option("P")] = None
+    """Probability that a target of the recording in view is detected, without an id; see `foveate replay`."""
+    clutter: Annotated[float | None, option("N")] = None
+    """Expected false alarms in each scan of the recording, among detections without ids."""
     port: int = 8080
     """Port of the page."""
     record: Annotated[Path | None, option("FILE.html")] = None
@@ -66,4 +70,6 @@ class View(ReadingCommand):
 
     def _of_recording(self) -> list[str]:
         """Options given that are of a recording."""
-        return [name for name, value in (*self.reading().items(), ("map", self.map)) if value]
+        given = [name for name, value in (*self.reading().items(), ("map", self.map)) if value]
+        alarms = {"detection-probability": self.detection_probability, "clutter": self.clutter}
+        return [*given, *(name for name, value in alarms.items() if value is not None)]

@@ -69,7 +69,10 @@ class FieldOfView(eqx.Module):
         """
 
     def contains(self, point_body: Float[Array, "... d"]) -> Bool[Array, "..."]:
-        """True where the point [m] lies in F, boundary included."""
+        """True where the point [m] lies in F, boundary included.
+
+        Shapes for which that is less work than the distance say so: simulations and filters ask it most.
+        """
         return self.signed_distance(point_body) <= 0
 
 

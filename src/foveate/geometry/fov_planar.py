@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.fov import Extent, FieldOfView, Number, arc, closed
 from foveate.geometry.safe import clipped, larger, length
@@ -65,9 +65,7 @@ class ConvexPolygon(FieldOfView):
         edge's ends. The choice of the edge has no derivative: only the nearest edge is differentiated. Beside a sharp
         corner both of its sides may be nearest, up to rounding: the one that the point is right of counts.
         """
-        ends = jnp.roll(self.vertices, -1, axis=0)
-        edges = ends - self.vertices
-        tangents = edges / jnp.sqrt(jnp.sum(edges**2, axis=-1, keepdims=True))
+        ends, tangents = self._edges
         still = jax.lax.stop_gradient(point_body)[..., None, :]
         heights, beyond = height_and_overshoot(still, self.vertices, ends, tangents)
         square = heights**2 + beyond**2
@@ -78,6 +76,19 @@ class ConvexPolygon(FieldOfView):
         height, overshoot = height_and_overshoot(point_body, self.vertices[nearest], ends[nearest], tangents[nearest])
         corner = length(height, overshoot)
         return jnp.where(overshoot == 0, height, jnp.where(inside, -corner, corner))
+
+    def contains(self, point_body: Float[Array, "... 2"]) -> Bool[Array, "..."]:
+        """True where the point [m] is left of all edges, or on them."""
+        ends, tangents = self._edges
+        heights, _ = height_and_overshoot(point_body[..., None, :], self.vertices, ends, tangents)
+        return jnp.all(heights <= 0, axis=-1)
+
+    @property
+    def _edges(self) -> tuple[Float[Array, "v 2"], Float[Array, "v 2"]]:
+        """Ends of the edges that begin at the vertices [m], and their unit vectors."""
+        ends = jnp.roll(self.vertices, -1, axis=0)
+        edges = ends - self.vertices
+        return ends, edges / jnp.sqrt(jnp.sum(edges**2, axis=-1, keepdims=True))
 
     def outline(self, reach: float = 10.0) -> np.ndarray:
         """The vertices and the first again, (v + 1, 2) [m]."""
@@ -170,6 +181,13 @@ class Sector(FieldOfView):
         """Distance to the sector, folded onto its axis of symmetry [m]."""
         x, y = point_body[..., 0], jnp.abs(point_body[..., 1])
         return annular_sector_distance(x, y, self.near, self.radius, self.angle / 2)
+
+    def contains(self, point_body: Float[Array, "... 2"]) -> Bool[Array, "..."]:
+        """True where range and bearing of the point [m] are within theirs."""
+        x, y = point_body[..., 0], jnp.abs(point_body[..., 1])
+        square, half_angle = x**2 + y**2, self.angle / 2
+        beside = (jnp.cos(half_angle) * y <= jnp.sin(half_angle) * x) | (half_angle >= math.pi)
+        return beside & (square <= self.radius**2) & (square >= self.near**2)
 
     def outline(self, reach: float = 10.0) -> np.ndarray:
         """The closed boundary (M, 2) [m]."""

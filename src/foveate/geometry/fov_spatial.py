@@ -6,7 +6,7 @@ from functools import reduce
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.fov import Extent, FieldOfView, Number, arc, closed
 from foveate.geometry.fov_planar import annular_sector_distance, annular_sector_outline
@@ -112,6 +112,14 @@ class Frustum(FieldOfView):
         edge = jnp.where(at_end, length(x - end, over_y, over_z), length(beside, across))
         return jnp.where(jnp.where(at_end, (over_y > 0) | (over_z > 0), by_edge), edge, height)
 
+    def contains(self, point_body: Float[Array, "... 3"]) -> Bool[Array, "..."]:
+        """True where no coordinate of the point [m] is beyond a face."""
+        x, y, z = point_body[..., 0], jnp.abs(point_body[..., 1]), jnp.abs(point_body[..., 2])
+        half_width, half_height = self.width_angle / 2, self.height_angle / 2
+        beside = jnp.cos(half_width) * y <= jnp.sin(half_width) * x
+        above = jnp.cos(half_height) * z <= jnp.sin(half_height) * x
+        return beside & above & (x >= self.near) & (x <= self.far)
+
     def outline(self, reach: float = 10.0) -> list[np.ndarray]:
         """The near and far rectangles and the four slanted edges."""
         wide, high = math.tan(float(self.width_angle) / 2), math.tan(float(self.height_angle) / 2)
@@ -143,6 +151,10 @@ class Prism(FieldOfView):
     def signed_distance(self, point_body: Float[Array, "... 3"]) -> Float[Array, "..."]:
         """Distance of the point's foot in the plane to the base [m]."""
         return self.base.signed_distance(point_body[..., :2])
+
+    def contains(self, point_body: Float[Array, "... 3"]) -> Bool[Array, "..."]:
+        """True where the point's foot in the plane [m] lies in the base."""
+        return self.base.contains(point_body[..., :2])
 
     def outline(self, reach: float = 10.0) -> list[np.ndarray]:
         """The base's outline at z = -+reach, and up to 8 uprights."""
@@ -186,6 +198,10 @@ class Intersection(FieldOfView):
         distances; outside, each member's distance is at most that to the smaller intersection.
         """
         return reduce(larger, [shape.signed_distance(point_body) for shape in self.shapes])
+
+    def contains(self, point_body: Float[Array, "... d"]) -> Bool[Array, "..."]:
+        """True where the point [m] lies in every member."""
+        return reduce(jnp.logical_and, [shape.contains(point_body) for shape in self.shapes])
 
     def outline(self, reach: float = 10.0) -> np.ndarray | list[np.ndarray]:
         """The parts of the members' outlines within all the others; in the plane for convex members only."""

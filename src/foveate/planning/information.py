@@ -80,13 +80,12 @@ def _added(
         positions_world = problem.motion.position(state)
         points_body = agent.space.to_body(pose, positions_world)
         gain = jax.vmap(lambda point: sensor.gain(rotation, point))(points_body)
-        distance, eye = sensor.view.signed_distance(points_body), agent.space.position(pose)
         if level is None:
-            seen = distance <= 0
-            seen = seen if obstacles is None else obstacles.sees(eye, positions_world, seen)
-            return gain, seen.astype(gain.dtype)
-        weight = detection_weight(distance, level)
-        return gain, weight if obstacles is None else weight * obstacles.weight(eye, positions_world, level)
+            return gain, problem.sees(pose, positions_world).astype(gain.dtype)
+        weight = detection_weight(sensor.view.signed_distance(points_body), level)
+        if obstacles is not None:
+            weight = weight * obstacles.weight(agent.space.position(pose), positions_world, level)
+        return gain, weight
 
     poses = jax.lax.scan(move, future.pose, (action, kept_off))[1]
     gain, weight = jax.vmap(look)(poses, future.state)

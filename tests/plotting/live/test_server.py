@@ -144,6 +144,7 @@ def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):
     assert "ends in .html" in failure(capsys, "view", *few, "--record", tmp_path / "page.htm")
     assert "expected one of them" in failure(capsys, "view", *few, "--recording", "x.csv")
     assert "--fps: expected a --recording beside it" in failure(capsys, "view", *few, "--fps", 25)
+    assert "--clutter: expected a --recording beside it" in failure(capsys, "view", *few, "--clutter", 0)
     assert f"no such scene in {scenes}: known are a" in failure(capsys, "view", *few, "--scene", "nowhere")
     assert "--method 'best'" in failure(capsys, "view", *few, "--method", "best")
     monkeypatch.setitem(sys.modules, "viser", None)
@@ -239,14 +240,17 @@ def test_scenes_and_recordings_from_the_command_line(capsys, tmp_path, monkeypat
     shown = {
         "scene.html": ("--scenes", "s.json", "--scene", "b"),
         "recording.html": ("--recording", "r.tsv", "--max-gap", "5", "--columns", "time=t,id=name,x=east,y=north"),
+        "no-ids.html": ("--recording", "r.tsv", "--columns", "time=t,id=name,x=east,y=north", "--clutter", "0.5"),
     }
     for page, source in shown.items():
         assert main(["view", "paper", *source, "--method", "still", "--record", page]) == 0
         assert capsys.readouterr().out.startswith(f"{page}: still")
-    scene, recording = (messages(Path(page)) for page in shown)
+    scene, recording, alarms = (messages(Path(page)) for page in shown)
     assert scene["durationSeconds"] == 2.0 + 1.0
     np.testing.assert_allclose(last_of(scene, "/agent", "position")[:2], [3.0, 0.0], atol=1e-6)
     assert recording["durationSeconds"] == 4.0 + 1.0
     np.testing.assert_allclose(last_of(recording, "/agent", "position")[:2], [2.5, -0.75], atol=1e-6)  # the middle
     ends = sorted(tuple(np.round(last_of(recording, f"/target/{i}", "position")[:2], 5)) for i in range(2))
     np.testing.assert_allclose(ends, [(1.4, 0.5), (4.0, -2.0)], atol=1e-5)
+    names = [{message.get("name") for _, message in each["messages"]} for each in (recording, alarms)]
+    assert "/undetected" in names[1] - names[0]

@@ -29,13 +29,15 @@ def run(options: View) -> int:
 
 def _source(options: View) -> EpisodeSource:
     subject = subject_of(policy_named(options.run))
-    methods = methods_from(options.method, subject.experiment.scenario.detections is None)
+    alarms = options.detection_probability, options.clutter
+    has_ids = subject.experiment.scenario.detections is None and alarms == (None, None)
+    methods = methods_from(options.method, has_ids)
     if options.recording is None:
         noise = (options.protocol, options.seed, options.scene_seed)
         return simulated(subject, options.scenes, options.scene, methods, *noise)
     whole = load_recording(options.recording, **options.reading())
     recording = prepared(load_window(whole, options.start, options.end), options.max_speed)
-    source, warnings = recorded(subject, recording, methods, options.max_gap, options.seed, options.map)
+    source, warnings = recorded(subject, recording, methods, options.max_gap, options.seed, options.map, *alarms)
     for line in recording.notes:
         print(line, file=sys.stderr)
     for line in warnings:

@@ -19,6 +19,7 @@ from foveate.recordings.motion import default_max_gap_s
 from foveate.recordings.plausibility import warnings_for
 from foveate.recordings.recording import Recording, moved
 from foveate.recordings.replay import drive, prepare_replay
+from foveate.recordings.scans import detecting
 from foveate.recordings.starts import default_agent_start
 from foveate.scenario.scenes import Scene
 
@@ -62,13 +63,19 @@ def recorded(
     max_gap: float | None,
     seed: int,
     map: Path | None = None,
+    detection_probability: float | None = None,
+    clutter: float | None = None,
 ) -> tuple[EpisodeSource, list[str]]:
-    """Episodes of a recording, begun in its middle, in a robot's map if there is one, and warnings about it."""
+    """Episodes of a recording, begun in its middle, in a robot's map if there is one, and warnings about it.
+
+    With a probability of detection, or clutter, detections have no ids (`recordings.scans`).
+    """
     scenes = (Path(recording.name).name,)
     recording = moved(recording, subject.experiment.scenario.origin)
     scenario, doubts = under(recording, subject.experiment.scenario, map)
-    subject = replace(subject, experiment=replace(subject.experiment, scenario=scenario))
     gap_s = default_max_gap_s(recording) if max_gap is None else max_gap
+    scenario = detecting(scenario, recording, gap_s, probability=detection_probability, clutter=clutter)
+    subject = replace(subject, experiment=replace(subject.experiment, scenario=scenario))
     box_world = jnp.asarray(np.stack(recording.extent), float)
     ready = prepare_replay(scenario, recording, default_agent_start(recording, scenario, seed), gap_s, seed)
 
