@@ -100,7 +100,10 @@ TESTED_ELSEWHERE = {
     },
     "plotting.track_data": "plotting/test_undetected.py",
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
-    **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},
+    **{
+        f"plotting.live.{name}": "plotting/live/test_server.py"
+        for name in ("chart", "mates", "player", "primitives", "scene", "sources")
+    },
     **dict.fromkeys(("study.jobs", "study.methods", "study.study"), "study/test_run.py"),
     "io.tables": "study/test_tables.py",
     "study.publish": "cli/test_reproduce.py",

@@ -17,8 +17,8 @@ from foveate.errors import InputError
 from foveate.experiment.presets import PRESETS
 from foveate.ros import node as module
 from foveate.ros.main import main
-from foveate.ros.messages import Messages
-from foveate.ros.node import Driver, topic_name
+from foveate.ros.messages import Messages, topic_name
+from foveate.ros.node import Driver
 from foveate.scenario.obstacles import ShapeObstacles
 
 pytest.importorskip("rosbags", reason="message definitions need the extra ros")
@@ -100,6 +100,25 @@ def test_messages_go_in_and_a_command_and_beliefs_come_out(watched):
     driver.stop()
     assert node.sent["cmd_vel"][-1].linear.x == 0.0
     assert [level for level, _ in node.lines] == ["info"]
+
+
+def test_robots_of_a_team_hear_each_other(watched):
+    """What one node sends on /team, as it is in bytes, is what the other takes."""
+    nodes = [Node(policy="any", robot=name) for name in ("r1", "r2")]
+    drivers = [Driver(node, find, "qos") for node in nodes]
+    for node in nodes:
+        node.subscriptions["odom"](MAKE.odometry(odometry(99.9), (0.0,) * 6))
+    nodes[0].subscriptions["detections"](MAKE.detections(detections(99.95, a=(3, 1, 0))))
+    drivers[0].step()
+    nodes[1].subscriptions["/team"](nodes[0].sent["/team"][-1])
+    drivers[1].step()
+    (belief,) = nodes[1].sent["beliefs/target_a"]
+    assert belief.pose.pose.position.x == pytest.approx(3)
+    nodes[1].subscriptions["/team"](MAKE.text("no message"))
+    assert nodes[1].lines[-1][1].startswith("team: a message is no JSON")
+    alone = Node(policy="any")
+    Driver(alone, find, "qos").step()
+    assert "/team" not in {*alone.sent, *alone.subscriptions}
 
 
 def test_parameters_reach_the_core(watched):

@@ -6,5 +6,16 @@ Only `main` needs ROS: all decisions are made in `core`, which takes and gives p
 from foveate.ros.core import Core, CoreSettings
 from foveate.ros.model import RobotModel, load_model
 from foveate.ros.records import Decision, Detections, Estimate, Odometry
+from foveate.ros.team import TeamCore
 
-__all__ = ["Core", "CoreSettings", "Decision", "Detections", "Estimate", "Odometry", "RobotModel", "load_model"]
+__all__ = [
+    "Core",
+    "CoreSettings",
+    "Decision",
+    "Detections",
+    "Estimate",
+    "Odometry",
+    "RobotModel",
+    "TeamCore",
+    "load_model",
+]

@@ -16,8 +16,7 @@ from foveate.recordings.definitions import typestore
 from foveate.recordings.measures import PreparedReplay
 from foveate.recordings.results import ReplayResult
 from foveate.ros.markers import belief_shapes, quaternion_of, truth_shapes, view_shapes
-from foveate.ros.messages import Messages, position_of, stamp_of
-from foveate.ros.node import MOST_TOPICS, topic_name
+from foveate.ros.messages import MOST_TOPICS, Messages, position_of, stamp_of, topic_name
 from foveate.ros.records import AXES, Detections, Estimate, Odometry
 from foveate.ros.walls import own_cells
 from foveate.simulation.records import Trace
