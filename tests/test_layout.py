@@ -87,6 +87,7 @@ TESTED_ELSEWHERE = {
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
     **dict.fromkeys(("recordings.velocities", "recordings.moments"), "recordings/test_motion.py"),
     **dict.fromkeys(("recordings.definitions", "recordings.unpack"), "recordings/test_bags.py"),
+    "ros.main": "ros/test_node.py",
     "ros.records": "ros/test_core.py",
     **{f"recordings.{name}": "recordings/test_tables.py" for name in ("clock", "fixes", "layout", "rows")},
     "recordings.unused": "recordings/test_outliers.py",

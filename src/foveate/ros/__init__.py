@@ -1,6 +1,6 @@
 """A ROS 2 node that drives a robot with a policy, and bags of replays. `python -m foveate.ros` runs the node.
 
-Only `node` needs ROS: all decisions are made in `core`, which takes and gives plain records.
+Only `main` needs ROS: all decisions are made in `core`, which takes and gives plain records.
 """
 
 from foveate.ros.core import Core, CoreSettings

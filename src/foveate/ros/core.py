@@ -23,7 +23,7 @@ from foveate.names import GATE
 from foveate.ros.model import RobotModel
 from foveate.ros.poses import PoseHistory, heading, matrix_of
 from foveate.ros.records import AXES, Decision, Detections, Estimate, Map, Odometry
-from foveate.ros.walls import Walls, walls_of
+from foveate.ros.walls import Walls, own_cells, walls_of
 
 STOP = (0.0,) * len(AXES)
 Beliefs = tuple[kalman.Means, kalman.Covariances]
@@ -78,6 +78,7 @@ class Core:
         self._mount = mount
         self._columns = [AXES.index(axis) for axis in model.axes]
         self._walls: Walls | None = None
+        self._own_cells = own_cells(problem)
         self._next_map: Map | None = None
         self._forget()
 
@@ -103,6 +104,12 @@ class Core:
     def child(self) -> str:
         """Body frame: that of the odometry."""
         return self._child
+
+    @property
+    def map(self) -> Map | None:
+        """The walls that it decides by, in the frame of the odometry: of the last map, or of the policy's scenario."""
+        cells = self._own_cells if self._walls is None else self._walls.cells
+        return Map(self._frame, cells) if self._frame and cells is not None else None
 
     def on_odometry(self, message: Odometry) -> str | None:
         """Take the robot's pose. A clock that goes back, as that of a bag that begins again, forgets everything."""

@@ -89,6 +89,10 @@ def topic_name(target: str) -> str:
     return "target_" + (re.sub(r"[^A-Za-z0-9]+", "_", target).strip("_") or "x")
 
 
+OCCUPIED = 100
+"""Per cent of an occupied cell in a nav_msgs/OccupancyGrid."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Messages:
     """Makes messages of the classes that `find` knows."""
@@ -160,6 +164,17 @@ class Messages:
             pose=self._make("geometry_msgs", "PoseWithCovariance", pose=pose, covariance=nothing),
             twist=self._make("geometry_msgs", "TwistWithCovariance", twist=self.twist(twist), covariance=nothing),
         )  # fmt: skip
+
+    def occupancy(self, header: Any, grid: OccupancyGrid) -> Any:
+        """OccupancyGrid in the plane z = 0, of cells that are free or occupied."""
+        width, height = grid.occupied.shape
+        origin = self.pose((float(grid.low[0]), float(grid.low[1]), 0.0))
+        info = self._make(
+            "nav_msgs", "MapMetaData",
+            map_load_time=header.stamp, resolution=grid.cell_m, width=width, height=height, origin=origin,
+        )  # fmt: skip
+        cells = OCCUPIED * grid.occupied.T.astype(np.int8).ravel()
+        return self._make("nav_msgs", "OccupancyGrid", header=header, info=info, data=cells)
 
     def transform(self, record: Odometry) -> Any:
         """Message for /tf of the body in the world."""

@@ -3,8 +3,6 @@
 `Driver` uses what rclpy's `Node` offers, and imports nothing of ROS itself.
 """
 
-import signal
-import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
@@ -12,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from foveate.errors import InputError
-from foveate.io.jax_settings import keep_compiled
 from foveate.names import GATE
 from foveate.ros import messages
 from foveate.ros.core import STOP, Core, CoreSettings
@@ -22,14 +19,9 @@ from foveate.ros.model import load_model
 from foveate.ros.records import Decision, Detections
 from foveate.ros.team import TeamCore
 
-NODE, TEAM = "foveate", "/team"
+TEAM = "/team"
 SILENT_S = 5.0
 """Least time between two lines of the log about the same thing."""
-HELP = """usage: python -m foveate.ros RUN|PRESET|FILE.onnx [--ros-args -p NAME:=VALUE -r TOPIC:=TOPIC ..]
-
-Drive a robot with a trained policy: nav_msgs/Odometry on odom and detections in (geometry_msgs/PoseArray on poses, or
-vision_msgs/Detection3DArray on detections), geometry_msgs/Twist on cmd_vel and the beliefs out. docs/ros.md has all
-topics and parameters."""
 
 
 class Driver:
@@ -67,8 +59,10 @@ class Driver:
             raise InputError(f"map_topic = '': {right}")
         self._dimension = self.core.model.scenario.dimension
         self._connect(sensor_qos)
+        grid, self._shown = find("nav_msgs/msg/OccupancyGrid"), None
+        self._walls = self._node.create_publisher(grid, "walls", map_qos)
         if map_topic:
-            self._node.create_subscription(find("nav_msgs/msg/OccupancyGrid"), map_topic, self._on_map, map_qos)
+            self._node.create_subscription(grid, map_topic, self._on_map, map_qos)
         self._start()
 
     def _parameter(self, name: str, default: Any) -> Any:
@@ -113,6 +107,7 @@ class Driver:
 
     def _on_odometry(self, message: Any) -> None:
         self._complain(self.core.on_odometry(messages.odometry_of(message)))
+        self._show_walls()
 
     def _on_map(self, message: Any) -> None:
         self.stop()  # it may take seconds, in which no command is sent
@@ -120,6 +115,16 @@ class Driver:
             self._complain(self.core.on_map(messages.map_of(message)))
         except InputError as error:
             self._complain(str(error))
+        self._show_walls()
+
+    def _show_walls(self) -> None:
+        """Publish the walls where they are others than before."""
+        known, shown = self.core.map, self._shown
+        if known is None or (shown is not None and known.frame == shown.frame and known.grid is shown.grid):
+            return
+        self._shown = known
+        header = self._messages.header(self._now_s(), known.frame)
+        self._walls.publish(self._messages.occupancy(header, known.grid))
 
     def _on_team(self, message: Any) -> None:
         assert isinstance(self.core, TeamCore), "no other listens"
@@ -202,49 +207,3 @@ def find_class(name: str) -> Any:
     """Class of a message of the ROS installation, as "geometry_msgs/msg/Twist"."""
     package, kind, message = name.split("/")
     return getattr(import_module(f"{package}.{kind}"), message)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node until it is interrupted. Exit status: 0, or 2 for wrong input."""
-    given = list(sys.argv if arguments is None else ["foveate.ros", *arguments])
-    try:
-        return _run(given)
-    except InputError as error:
-        print(f"foveate.ros: {error}", file=sys.stderr)
-        return 2
-
-
-def _run(given: list[str]) -> int:
-    try:
-        rclpy, qos = import_module("rclpy"), import_module("rclpy.qos")
-        signals, utilities = import_module("rclpy.signals"), import_module("rclpy.utilities")
-    except ImportError as error:
-        raise InputError(f"rclpy, ROS 2's Python, is not found ({error}): source /opt/ros/DISTRO/setup.bash") from None
-    names = utilities.remove_ros_args(given)[1:]
-    if {"-h", "--help"} & set(names):
-        print(HELP)
-        return 0
-    if len(names) > 1:
-        raise InputError(f"{' '.join(names)}: expected one policy: a run folder, a preset or a file of foveate export")
-    keep_compiled()
-    # rclpy's own handlers would end the context before the robot is told to stand.
-    rclpy.init(args=given, signal_handler_options=signals.SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, _interrupt)
-    node = rclpy.create_node(NODE)
-    driver = None
-    try:
-        kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        driver = Driver(node, find_class, qos.qos_profile_sensor_data, *names, map_qos=kept)
-        rclpy.spin(node)
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        if driver is not None:
-            driver.stop()
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
