@@ -37,9 +37,11 @@ CROWD_DEPTHS = (0.5, 2.0)
 TIMES_LEFT = (3.0, 10.0, 40.0)
 """Scales [steps] on which the time left is told."""
 
-
 SEARCH_FEATURES = 3
 """Further features where detections have no ids (`policies.places`)."""
+
+WINDOW_FEATURES = 2
+"""Further features of a network that is told the dynamic window (`policies.window`)."""
 
 
 class Tokens(NamedTuple):
@@ -47,7 +49,8 @@ class Tokens(NamedTuple):
 
     `urgency` are log det of the information [nat], and the steps until the target is in view, on which the first
     preference among targets is based, in a team also 1 for targets of others; `unit` is one view in each axis's action
-    (`view_units`). Actions have a number for every axis of the twist, 0 for those that the robot lacks.
+    (`view_units`). Actions have a number for every axis of the twist, 0 for those that the robot lacks. `window` is the
+    dynamic window's action, for networks that are told it.
     """
 
     features: Float[Array, "n features"]
@@ -55,6 +58,7 @@ class Tokens(NamedTuple):
     urgency: Float[Array, "n measures"]
     unit: Float[Array, " n_u"]
     present: Bool[Array, " n"]
+    window: Float[Array, " n_u"] | None = None
 
 
 def tokens_of(
@@ -101,7 +105,7 @@ def tokens_of(
         [_scene(observation, tells_time), *task, _robot_features(robot), _region_features(observation, problem, depth)]
     )
     features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common))), *around], axis=-1)
-    aim, unit = (_whole(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
+    aim, unit = (whole_action(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
     return Tokens(jnp.where(present[:, None], features, 0.0), aim, jnp.stack(urgency, axis=-1), unit, present)
 
 
@@ -117,11 +121,8 @@ def padded(tokens: Tokens, targets: int) -> Tokens:
     return tokens._replace(**{name: more(getattr(tokens, name), axes) for name, axes in parts.items()})
 
 
-def token_size(problem: Problem, rays: int = 0) -> int:
-    """Number of features of a token, of which some are for rays.
-
-    Raises InputError where a state does not begin with the position.
-    """
+def token_size(problem: Problem, rays: int = 0, window: bool = False) -> int:
+    """Number of features of a token. Raises InputError where a state does not begin with the position."""
     d, axes = problem.agent.space.dimension, problem.agent.space.twist_size
     shape = f"({d} x {problem.motion.state_size})"
     right = f"expected targets whose state begins with the position, Z = [I 0] {shape}"
@@ -129,24 +130,22 @@ def token_size(problem: Problem, rays: int = 0) -> int:
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
     own += (problem.team is not None) * TEAM_FEATURES + (problem.detections is not None) * SEARCH_FEATURES
+    own += window * WINDOW_FEATURES
     return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d + ways_size(d, rays)
 
 
 def untold(
-    problem: Problem, objectives: Collection[Objective], tells_time: bool, rays: int = 0
+    problem: Problem, objectives: Collection[Objective], tells_time: bool, rays: int = 0, window: bool = False
 ) -> Bool[np.ndarray, " features"]:
-    """Features that are 0 throughout a training for these objectives: the end, other tasks, borders of a region.
-
-    A region counts as untold even where there is one, so that all trainings begin alike.
-    """
+    """Features that are 0 throughout a training: the end, other tasks, and borders: all trainings begin alike."""
     after_tasks = 2 * problem.agent.space.twist_size + 4
     told = [tells_time] * len(TIMES_LEFT) + [task in objectives for task in ("mean", "seen")] + [True] * after_tasks
     tail = np.array([*told, *[False] * (2 * problem.agent.space.dimension)])
     around = np.ones(token_size(problem, rays) - token_size(problem), bool)
-    return ~np.concatenate([np.ones(token_size(problem) - len(tail), bool), tail, around])
+    return ~np.concatenate([np.ones(token_size(problem, 0, window) - len(tail), bool), tail, around])
 
 
-def _whole(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]:
+def whole_action(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]:
     """An action on every axis of the twist, 0 on those that are not actuated."""
     zero = jnp.zeros_like(action[..., 0])
     columns = [action[..., agent.axes.index(i)] if i in agent.axes else zero for i in range(agent.space.twist_size)]
@@ -237,7 +236,7 @@ def _robot_features(robot: Robot) -> Float[Array, " features"]:
     problem, extent = robot.problem, robot.extent
     agent, d = problem.agent, problem.agent.space.dimension
     views = problem.tau / view_sizes(agent, extent)
-    ahead, back = (jnp.maximum(_whole(agent, speed), 0.0) * views for speed in (agent.upper, -agent.lower))
+    ahead, back = (jnp.maximum(whole_action(agent, speed), 0.0) * views for speed in (agent.upper, -agent.lower))
     sensor, process = (
         jnp.sqrt(jnp.mean(jnp.diagonal(matrix))) / extent.ahead_m
         for matrix in (_told_noise(problem), multiply(multiply(problem.motion.Z, problem.motion.W), problem.motion.Z.T))

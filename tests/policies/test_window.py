@@ -9,7 +9,7 @@ import pytest
 from helpers.decisions import bearing_to, decide, seen
 
 from foveate.planning.named import heuristic_policy
-from foveate.planning.window import PERIODS, commands
+from foveate.policies.window import PERIODS, commands
 from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
