@@ -26,7 +26,7 @@ from foveate.policies.places import with_places
 from foveate.policies.tokens import Tokens, token_size, tokens_of, untold
 from foveate.policies.window import told_window
 from foveate.simulation.records import Observation, Policy
-from foveate.types import Action, Key, Scalar
+from foveate.types import Action, Key
 
 PADDING_LOG_WEIGHT = -1e9
 """Log weight of the modes of padding: probability 0, but finite, so that derivatives are finite."""
@@ -126,7 +126,7 @@ class PointerSettings(Settings):
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
         told = objective, tells_time, tells_team, self.rays, searches
-        window = jnp.array(FREE_LOG_WEIGHT) if self.window else None
+        window = jnp.full(1, FREE_LOG_WEIGHT) if self.window else None
         return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window=window)
 
 
@@ -170,7 +170,7 @@ class PointerPolicy(Policy):
     tells_team: bool = eqx.field(static=True, default=False)
     rays: int = eqx.field(static=True, default=0)
     searches: bool = eqx.field(static=True, default=False)
-    window: Scalar | None = None
+    window: Float[Array, " 1"] | None = None
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
@@ -227,7 +227,7 @@ class PointerPolicy(Policy):
         modes = Modes(log_weights, jnp.concatenate([action, rest]))
         if self.window is None or tokens.window is None:
             return modes
-        weight, correction = idle[1 + axes] + self.window, idle[2 + axes :]
+        weight, correction = idle[1 + axes] + self.window[0], idle[2 + axes :]
         proposed = tokens.window + LARGEST_CORRECTION * jnp.tanh(correction * tokens.unit)
         return Modes(jnp.append(modes.log_weight, weight), jnp.concatenate([modes.action, proposed[None]]))
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import jaxtyping
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal, Primitive
+from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 
 Shape = tuple[Any, ...]
 """Sizes of axes: whole numbers, and symbols where a size is free."""
@@ -110,8 +110,33 @@ def _called(primitive: str, parameters: dict[str, Any], inputs: Sequence[Value])
     if primitive == "cond" and "branches_platforms" in parameters:
         # Variants of one computation for different machines: the one for all others.
         return primitive, parameters["branches"][parameters["branches_platforms"].index(None)]
+    if primitive == "scan":
+        return primitive, _unrolled(parameters, inputs)
     called = parameters.get("jaxpr", parameters.get("call_jaxpr"))
     return (primitive, None) if called is None else (parameters.get("name", called.jaxpr.debug_info.func_name), called)
+
+
+def _unrolled(parameters: dict[str, Any], inputs: Sequence[Value]) -> ClosedJaxpr:
+    """The jaxpr of a loop whose steps follow each other, without a loop. Raises NoRule for a loop backwards."""
+    if parameters["reverse"]:
+        raise NoRule("a scan backwards")
+    constants, carried = parameters["num_consts"], parameters["num_carry"]
+    body = jaxpr_as_fun(parameters["jaxpr"])
+
+    def loop(*arguments):
+        fixed, carry, each = (
+            arguments[:constants],
+            list(arguments[constants:][:carried]),
+            arguments[constants + carried :],
+        )
+        kept = []
+        for step in range(parameters["length"]):
+            results = body(*fixed, *carry, *(jax.lax.index_in_dim(x, step, keepdims=False) for x in each))
+            carry = results[:carried]
+            kept.append(results[carried:])
+        return [*carry, *(jnp.stack(results) for results in zip(*kept, strict=True))]
+
+    return jax.make_jaxpr(loop)(*(jax.ShapeDtypeStruct(each.shape, each.dtype) for each in inputs))
 
 
 def _fixed(constant: Any, aval: Any = None) -> Value:
