@@ -131,7 +131,7 @@ class Planar(Space):
 
     def placed(self, pose: Float[Array, "3"], position_world: Float[Array, "2"]) -> Float[Array, "3"]:
         """[x, y, yaw] with another x, y [m]."""
-        return pose.at[:2].set(position_world)
+        return jnp.concatenate([position_world, pose[2:]])
 
     def numpy_pose(self, numbers: object) -> Float[np.ndarray, "3"]:
         """The pose of [x, y, yaw] [m, rad]."""

@@ -43,8 +43,13 @@ class Agent(eqx.Module):
 
     def twist(self, action: Action) -> Twist:
         """Body-frame twist of a normalised action, shape (n_u,)."""
-        control = self.control(action)
-        return jnp.zeros(self.space.twist_size, control.dtype).at[jnp.array(self.axes)].set(control)
+        return self.on_all_axes(self.control(action))
+
+    def on_all_axes(self, values: Float[Array, "*b m"]) -> Float[Array, "*b n_u"]:
+        """Numbers of the actuated axes as numbers of every axis of the twist, 0 on those that are not actuated."""
+        zero = jnp.zeros_like(values[..., 0])
+        columns = [values[..., self.axes.index(i)] if i in self.axes else zero for i in range(self.space.twist_size)]
+        return jnp.stack(columns, axis=-1)
 
     def move(self, pose: Pose, action: Action, tau: Scalar) -> Pose:
         """The pose after `tau` seconds of one constant action."""

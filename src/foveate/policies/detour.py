@@ -30,7 +30,7 @@ def unfolded(problem: Problem, pose: Pose, points_world: Float[Array, "n d"], st
     space = problem.agent.space
     points_body = space.to_body(pose, points_world)
     if problem.obstacles is None:
-        count = len(points_world)
+        count = points_world.shape[0]
         return Unfolded(points_body, jnp.full(count, standoff_m, points_body.dtype), jnp.ones(count, bool))
     way = problem.obstacles.ways_to(space.position(pose), points_world, standoff_m)
     return unfold(points_body, space.to_body(pose, way.place_world), way.length, way.is_straight, standoff_m)

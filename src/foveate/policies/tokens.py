@@ -17,7 +17,6 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.geometry.linalg import cholesky_spd, inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.io.validate import require
-from foveate.models.agent import Agent
 from foveate.models.belief import predict_information
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
@@ -105,7 +104,7 @@ def tokens_of(
         [_scene(observation, tells_time), *task, _robot_features(robot), _region_features(observation, problem, depth)]
     )
     features = jnp.concatenate([*own, jnp.broadcast_to(common, (present.shape[0], len(common))), *around], axis=-1)
-    aim, unit = (whole_action(agent, action) for action in (aim, view_units(agent, problem.tau, extent)))
+    aim, unit = (agent.on_all_axes(action) for action in (aim, view_units(agent, problem.tau, extent)))
     return Tokens(jnp.where(present[:, None], features, 0.0), aim, jnp.stack(urgency, axis=-1), unit, present)
 
 
@@ -143,13 +142,6 @@ def untold(
     tail = np.array([*told, *[False] * (2 * problem.agent.space.dimension)])
     around = np.ones(token_size(problem, rays) - token_size(problem), bool)
     return ~np.concatenate([np.ones(token_size(problem, 0, window) - len(tail), bool), tail, around])
-
-
-def whole_action(agent: Agent, action: Float[Array, "*n m"]) -> Float[Array, "*n n_u"]:
-    """An action on every axis of the twist, 0 on those that are not actuated."""
-    zero = jnp.zeros_like(action[..., 0])
-    columns = [action[..., agent.axes.index(i)] if i in agent.axes else zero for i in range(agent.space.twist_size)]
-    return jnp.stack(columns, axis=-1)
 
 
 def _displacement(observation: Observation, robot: Robot) -> Float[Array, "n d"]:
@@ -236,7 +228,7 @@ def _robot_features(robot: Robot) -> Float[Array, " features"]:
     problem, extent = robot.problem, robot.extent
     agent, d = problem.agent, problem.agent.space.dimension
     views = problem.tau / view_sizes(agent, extent)
-    ahead, back = (jnp.maximum(whole_action(agent, speed), 0.0) * views for speed in (agent.upper, -agent.lower))
+    ahead, back = (jnp.maximum(agent.on_all_axes(speed), 0.0) * views for speed in (agent.upper, -agent.lower))
     sensor, process = (
         jnp.sqrt(jnp.mean(jnp.diagonal(matrix))) / extent.ahead_m
         for matrix in (_told_noise(problem), multiply(multiply(problem.motion.Z, problem.motion.W), problem.motion.Z.T))

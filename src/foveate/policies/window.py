@@ -16,7 +16,7 @@ from foveate.models.agent import Agent
 from foveate.models.problem import Problem
 from foveate.policies.detour import steer_to
 from foveate.policies.rules import priced
-from foveate.policies.tokens import STANDOFF, Tokens, whole_action
+from foveate.policies.tokens import STANDOFF, Tokens
 from foveate.simulation.information import Future, believed_future, mean_score
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Count, Key, Scalar
@@ -26,6 +26,9 @@ PERIODS = 5
 
 VALUES = {1: 7, 2: 7, 3: 3}
 """Values tried on every axis by the number of axes; 2, the limits, for more: at most 49 commands, 64 for six axes."""
+
+AFTER_PRICES = 1e6
+"""More than any price [nat]."""
 
 TIE_NAT = 1e-4
 """Commands whose results differ by less are equal: they see the same targets, except for rounding."""
@@ -63,8 +66,8 @@ class DynamicWindow(Policy):
 def tried(problem: Problem, observation: Observation, standoff_m: Scalar | float, left: Count) -> Tried:
     """Simulate all commands for PERIODS, or for the steps that are `left`; `problem` is that of this step and map."""
     future = believed_future(problem, observation, observation.known_input, PERIODS, jnp.maximum(left, 1))
-    targets = jnp.arange(observation.present.shape[0])
-    steering = jax.vmap(lambda target: _steering(problem, future, target, standoff_m))(targets)
+    positions_world = problem.motion.position(future.state)
+    steering = jax.vmap(lambda path: _steering(problem, future, path, standoff_m), in_axes=1)(positions_world)
     constant = commands(problem.agent)
 
     def found(actions: Float[Array, "K m"]) -> Scalar:
@@ -72,12 +75,13 @@ def tried(problem: Problem, observation: Observation, standoff_m: Scalar | float
 
     by_steering = jnp.where(observation.present, jax.vmap(found)(steering), -jnp.inf)
     by_constant = jax.vmap(lambda action: found(jnp.broadcast_to(action, (PERIODS, *action.shape))))(constant)
-    # Of equal ones steering to the target of the lowest price comes first, and the grid last.
-    least = jnp.maximum(jnp.max(by_steering, initial=-jnp.inf), jnp.max(by_constant)) - TIE_NAT
-    is_best = by_steering >= least
-    target = jnp.argmin(jnp.where(is_best, priced(problem, observation), jnp.inf))
-    grid = constant[jnp.argmax(by_constant >= least)]
-    return Tried(by_steering, by_constant, jnp.where(is_best.any(), steering[target, 0], grid))
+    # Of equal ones steering to the target of the lowest price comes first, and the grid last, in its order.
+    order = jnp.concatenate(
+        [priced(problem, observation), AFTER_PRICES + jnp.arange(len(constant), dtype=constant.dtype)]
+    )
+    result = jnp.concatenate([by_steering, by_constant])
+    best = jnp.argmin(jnp.where(result >= jnp.max(result) - TIE_NAT, order, jnp.inf))
+    return Tried(by_steering, by_constant, jnp.concatenate([steering[:, 0], constant])[best])
 
 
 def commands(agent: Agent) -> Float[Array, "commands m"]:
@@ -89,16 +93,18 @@ def commands(agent: Agent) -> Float[Array, "commands m"]:
     return jnp.concatenate([jnp.asarray(grid, still.dtype), still[None]])
 
 
-def _steering(problem: Problem, future: Future, target: Count, standoff_m: Scalar | float) -> Float[Array, "K m"]:
-    """Actions that steer to a target where it is predicted to be."""
+def _steering(
+    problem: Problem, future: Future, path_world: Float[Array, "K d"], standoff_m: Scalar | float
+) -> Float[Array, "K m"]:
+    """Actions that steer to a target where it is predicted to be [m]."""
 
-    def step(pose, state):
-        positions_world = problem.motion.position(state)
-        action = steer_to(problem, pose, positions_world[target], standoff_m)
-        obstacles = None if problem.keep_off_m is None else positions_world
+    def step(pose, now):
+        state, point_world = now
+        action = steer_to(problem, pose, point_world, standoff_m)
+        obstacles = None if problem.keep_off_m is None else problem.motion.position(state)
         return problem.move(pose, action, obstacles, future.present), action
 
-    return jax.lax.scan(step, future.pose, future.state)[1]
+    return jax.lax.scan(step, future.pose, (future.state, path_world))[1]
 
 
 def told_window(tokens: Tokens, observation: Observation, tells_time: bool) -> Tokens:
@@ -117,4 +123,4 @@ def told_window(tokens: Tokens, observation: Observation, tells_time: bool) -> T
     least = jnp.min(loss, initial=jnp.inf, where=present)
     losses = jnp.log1p(jnp.stack([loss, jnp.broadcast_to(least, loss.shape)], axis=-1))
     features = jnp.concatenate([jnp.where(present[:, None], losses, 0.0), tokens.features], axis=-1)
-    return tokens._replace(features=features, window=whole_action(problem.agent, found.best))
+    return tokens._replace(features=features, window=problem.agent.on_all_axes(found.best))

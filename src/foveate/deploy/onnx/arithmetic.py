@@ -4,6 +4,7 @@ A rule makes the nodes of one operation, from its inputs. The axes of these are 
 may be more of size 1 (see `translate`).
 """
 
+import jax
 import numpy as np
 from onnx import TensorProto
 
@@ -28,6 +29,13 @@ def hypot(graph: Graph, operation: Operation, x: Tensor, y: Tensor) -> Tensor:
     """sqrt(x^2 + y^2)."""
     op = graph.elementwise
     return op("Sqrt", op("Add", op("Mul", x, x), op("Mul", y, y)))
+
+
+def round_(graph: Graph, operation: Operation, x: Tensor) -> Tensor:
+    """The nearest whole number, of two the even one, as ONNX has it. Raises NoRule for another way of rounding."""
+    if operation.parameters["rounding_method"] != jax.lax.RoundingMethod.TO_NEAREST_EVEN:
+        raise NoRule("round, away from zero")
+    return graph.elementwise("Round", x)
 
 
 def integer_pow(graph: Graph, operation: Operation, x: Tensor) -> Tensor:

@@ -53,6 +53,7 @@ ELEMENTWISE: dict[str, Rule] = {
     "rsqrt": lambda graph, operation, x: graph.elementwise("Reciprocal", graph.elementwise("Sqrt", x)),
     "log1p": lambda graph, operation, x: graph.elementwise("Log", graph.elementwise("Add", x, 1.0)),
     "is_finite": lambda graph, operation, x: graph.elementwise("Less", graph.elementwise("Abs", x), np.inf),
+    "round": arithmetic.round_,
     "atan2": arithmetic.atan2,
     "hypot": arithmetic.hypot,
     "select_n": arithmetic.select_n,
