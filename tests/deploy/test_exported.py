@@ -1,5 +1,6 @@
 """A policy with rays in an ONNX file: against the one in JAX, with what is around it as numbers and from a map."""
 
+import json
 import runpy
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,10 @@ import numpy as np
 import pytest
 
 import foveate
+from foveate.cli.main import main
 from foveate.errors import InputError
+from foveate.experiment.presets import PAN
+from foveate.experiment.resolve import subject_of
 from foveate.models.robot import Robot, Surroundings
 from foveate.scenario.random_obstacles import CircleObstacles
 from foveate.simulation.records import Observation
@@ -108,6 +112,9 @@ def test_a_loaded_file_decides_as_the_policy_it_is_from(policy, file):
     np.testing.assert_allclose(moved(beliefs[0], arrays["pose"][0]), expected, atol=1e-5)
     with pytest.raises(InputError, match="serves its own robot and targets"):
         loaded.for_scenario(replace(policy.scenario, tau_s=0.25))
+    with pytest.raises(InputError, match="serves its own robot and targets"):
+        subject_of(loaded, replace(policy.scenario, tau_s=0.25))
+    assert subject_of(loaded).objective == policy.experiment.training.objective == "mean"
     with pytest.raises(InputError, match="is an exported file already"):
         loaded.export("x.onnx")
     with pytest.raises(InputError, match="save the run"):
@@ -129,3 +136,19 @@ def test_the_example_tells_a_scanners_ranges(policy, file):
     assert told["is_seen"].tolist() == [False, True]
     np.testing.assert_allclose(told["way_length"], [4.0, 3.0])
     assert set(example(pose, mean, covariance, ranges=ranges)) == {"vx", "wz"}
+
+
+@pytest.mark.slow
+def test_commands_take_a_file(tmp_path):
+    """`foveate evaluate` of the file has the rows of its run, up to rounding."""
+    main(["export", "pan", str(tmp_path / "pan.onnx")])
+    scenes = foveate.own_suite(PAN.scenes, PAN.problem())[:2]
+    foveate.write_scenes(tmp_path / "two.json", scenes)
+    found = []
+    for name in ("pan", str(tmp_path / "pan.onnx")):
+        options = ["--scenes", str(tmp_path / "two.json"), "--protocol", "true", "--json", str(tmp_path / "rows.json")]
+        assert main(["evaluate", name, *options]) == 0
+        found.append(json.loads((tmp_path / "rows.json").read_text(encoding="utf-8"))["rows"])
+    assert len(found[0]) == 2
+    for one, other in zip(*found, strict=True):
+        assert one["score"] == pytest.approx(other["score"], abs=1e-3)

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 from foveate.errors import InputError
 
 if TYPE_CHECKING:
+    from foveate.deploy.exported import ExportedPolicy
     from foveate.io.tables import Table
+
+
+def policy_named(name: str) -> "str | ExportedPolicy":
+    """The policy of an exported file; a run or a preset stays a name."""
+    if Path(name).suffix != ".onnx":
+        return name
+    from foveate.deploy.exported import load_exported
+
+    return load_exported(name)
 
 
 def check_seed(seed: int, name: str = "--seed") -> None:

@@ -22,8 +22,8 @@ class Evaluate(Command):
     """
 
     run: Annotated[tyro.conf.Positional[tuple[str, ...]], option("RUN|PRESET ..")]
-    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package). Of several, all
-    run in the scenario of the first."""
+    """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package). Of several,
+    all run in the scenario of the first."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file; table1: the paper's six cells of 30 scenes; own: 30 scenes for each of three numbers of targets from
     the scenario's distribution, not used in training (default: table1 in the plane, own in space)."""

@@ -28,7 +28,8 @@ class Command:
 
 
 def _check_exists(name: str, value: str | Path) -> None:
-    if name == "run" and not Path(value).is_dir():
+    is_exported = Path(value).suffix == ".onnx" and Path(value).is_file()
+    if name == "run" and not Path(value).is_dir() and not is_exported:
         run = str(value).partition("@")[0]  # of NAME@SOURCE, a policy in the scenario of SOURCE
         if run not in PRESET_NAMES and not Path(run).is_dir():
             raise InputError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESET_NAMES)}")

@@ -19,7 +19,7 @@ class Render(Command):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
+    """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     out: Annotated[Path, option("FILE.gif|.mp4|.png|.pdf|.svg")]
     """.gif or .mp4: an animation. .png, .pdf or .svg: four pictures per scene."""
     scene: Annotated[tuple[str, ...], option("ID ..")] = ()

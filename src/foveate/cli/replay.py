@@ -20,7 +20,7 @@ class Replay(ReadingCommand):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
+    """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     recording: Annotated[tyro.conf.Positional[tuple[Path, ...]], option("RECORDING ..")]
     """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of
     frame,id,x,y (--fps), TUM trajectories (a file each target); bags of ROS 1 and 2, MCAP (extra ros)."""

@@ -21,7 +21,7 @@ class View(ReadingCommand):
     """
 
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
-    """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
+    """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file, table1 or own (default: table1 in the plane, own in space)."""
     recording: Annotated[Path | None, option("RECORDING")] = None

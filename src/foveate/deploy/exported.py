@@ -14,6 +14,7 @@ from foveate.deploy.onnx.session import Session, open_file
 from foveate.deploy.policy import TrainedPolicy
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.presets import ACTOR_CRITIC, POINTER
 from foveate.names import Objective
 from foveate.policies.surroundings import surroundings
 from foveate.policies.tokens import STANDOFF
@@ -78,10 +79,15 @@ class ExportedPolicy(TrainedPolicy):
 
     def for_scenario(self, scenario: Scenario, objective: Objective | None = None) -> "ExportedPolicy":
         """The same policy among other obstacles, or in other scenes. Raises InputError for anything else."""
-        same = replace(scenario, scenes=self.scenario.scenes, obstacles=self.scenario.obstacles) == self.scenario
-        if not same or objective is not None:
+        self.require_serves(scenario)
+        if objective is not None:
             raise InputError(f"{self.name}: {FIXED}")
         return replace(self, experiment=replace(self.experiment, scenario=scenario))
+
+    def require_serves(self, scenario: Scenario) -> None:
+        """Raise InputError unless the scenario differs in its scenes and obstacles only."""
+        if replace(scenario, scenes=self.scenario.scenes, obstacles=self.scenario.obstacles) != self.scenario:
+            raise InputError(f"{self.name}: {FIXED}")
 
     def export(self, path: str | Path) -> NoReturn:
         """Raise InputError: it is a file already."""
@@ -102,6 +108,9 @@ def load_exported(path: str | Path) -> ExportedPolicy:
     """Load the policy of a file of `foveate export`. Raises InputError as `open_file`."""
     session = open_file(str(path))
     experiment = Experiment(scenario=session.scenario)
+    if session.objective is not None:
+        training = replace(ACTOR_CRITIC, objective=session.objective)
+        experiment = replace(experiment, policy=POINTER, training=training)
     return ExportedPolicy(
         name=str(path), experiment=experiment, network=ExportedNetwork(session), facts=dict(session.facts)
     )

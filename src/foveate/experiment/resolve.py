@@ -45,6 +45,9 @@ class NamedPolicy:
     experiment: Experiment
     network: Policy
 
+    def require_serves(self, scenario: Scenario) -> None:
+        """Raise InputError if it is bound to another robot or other targets; here it is not."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
@@ -185,6 +188,7 @@ def subject_of(policy: NamedPolicy | Policy | Name, scenario: Scenario | None = 
         name, own, network = str(policy), experiment_of(policy), lambda: load(policy)[1]
     elif isinstance(policy, NamedPolicy):
         name, own, network = policy.name, policy.experiment, lambda: policy.network
+        policy.require_serves(scenario or own.scenario)
     else:
         raise InputError(f"policy = {policy!r}: expected one of foveate, a run, a preset, or a foveate.Policy")
     tau_s = None if own.is_for_any_robot else own.scenario.tau_s

@@ -1,7 +1,7 @@
 """Work of `foveate evaluate`."""
 
 from foveate import api
-from foveate.cli.common import check_output, print_tables
+from foveate.cli.common import check_output, policy_named, print_tables
 from foveate.cli.evaluate import Evaluate
 from foveate.errors import InputError
 from foveate.names import PRESET_NAMES
@@ -10,7 +10,7 @@ from foveate.scenario.scenes import write_scenes
 
 def run(options: Evaluate) -> int:
     """Evaluate, print the summary, write the files."""
-    runs = list(options.run)
+    runs = [policy_named(name) for name in options.run]
     if not runs:
         raise InputError(f"expected at least one run folder or preset: presets are {', '.join(PRESET_NAMES)}")
     for path in (options.json, options.write_scenes):

@@ -1,6 +1,6 @@
 """Work of `foveate render`."""
 
-from foveate.cli.common import check_output
+from foveate.cli.common import check_output, policy_named
 from foveate.cli.render import Render
 from foveate.plotting.render import render
 
@@ -9,7 +9,7 @@ def run(options: Render) -> int:
     """Simulate the scenes, draw them, print what was written."""
     check_output(options.out, options.scenes)
     drawn = render(
-        options.run,
+        policy_named(options.run),
         options.out,
         options.scenes,
         scene=options.scene,

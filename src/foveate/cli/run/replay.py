@@ -1,7 +1,7 @@
 """Work of `foveate replay`."""
 
 from foveate import api
-from foveate.cli.common import check_output, print_tables
+from foveate.cli.common import check_output, policy_named, print_tables
 from foveate.cli.replay import Replay
 from foveate.errors import InputError
 from foveate.plotting.replay import draw_replay
@@ -16,7 +16,7 @@ def run(options: Replay) -> int:
     check_output(options.json, *options.recording)
     recording = load_recording(options.recording, **options.reading())
     result = api.replay(
-        options.run,
+        policy_named(options.run),
         recording,
         method=options.method,
         start=options.start,

@@ -2,7 +2,7 @@
 
 import sys
 
-from foveate.cli.common import check_output, check_seed
+from foveate.cli.common import check_output, check_seed, policy_named
 from foveate.cli.view import View
 from foveate.experiment.resolve import subject_of
 from foveate.plotting.live.player import EpisodeSource
@@ -28,7 +28,7 @@ def run(options: View) -> int:
 
 
 def _source(options: View) -> EpisodeSource:
-    subject = subject_of(options.run)
+    subject = subject_of(policy_named(options.run))
     methods = methods_from(options.method, subject.experiment.scenario.detections is None)
     if options.recording is None:
         noise = (options.protocol, options.seed, options.scene_seed)

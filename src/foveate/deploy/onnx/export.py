@@ -48,7 +48,7 @@ def inputs_of(policy: Policy, problem: Problem) -> tuple[Input, ...]:
 
 
 def metadata_of(experiment: Experiment, inputs: Sequence[Input], rays: int = 0) -> dict[str, str]:
-    """Metadata of a file with these inputs: texts, all but the first four of them JSON."""
+    """Metadata of a file with these inputs: texts, all but the first five of them JSON."""
     scenes, problem = experiment.scenario.scenes, experiment.scenario.problem()
     agent, period, sensor = problem.agent, problem.period, problem.sensor
     axes = [agent.space.axes[axis] for axis in agent.axes]
@@ -82,7 +82,8 @@ def metadata_of(experiment: Experiment, inputs: Sequence[Input], rays: int = 0) 
     if rays:
         structured["rays"] = _rays_of(problem, rays)
     plain = {"format": FORMAT, "format_version": str(VERSION), "foveate_version": __version__}
-    return {**plain, "policy": experiment.policy.kind} | {name: json.dumps(value) for name, value in structured.items()}
+    plain |= {"policy": experiment.policy.kind, "objective": experiment.training.objective}
+    return plain | {name: json.dumps(value) for name, value in structured.items()}
 
 
 def _rays_of(problem: Problem, rays: int) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from foveate.deploy.onnx.export import FORMAT, NO_DIGEST, VERSION
 from foveate.errors import InputError
 from foveate.io.files import read_bytes
 from foveate.io.records import from_table
+from foveate.names import OBJECTIVES, Objective
 from foveate.scenario.scenario import Scenario
 
 
@@ -33,6 +34,12 @@ class Session:
     def axes(self) -> tuple[str, ...]:
         """Names of a command's numbers."""
         return tuple(json.loads(self.facts["output"])["axes"])
+
+    @property
+    def objective(self) -> Objective | None:
+        """What a pointer network was trained for; None for others, and in files of foveate 0.1."""
+        told = self.facts.get("objective") if self.facts["policy"] == "pointer" else None
+        return next((each for each in OBJECTIVES if each == told), None)
 
     @property
     def rays(self) -> int:
