@@ -10,6 +10,8 @@ import pytest
 from helpers.observations import SCENARIOS, moved, scene, seen
 from scipy.special import softmax
 
+from foveate.errors import InputError
+from foveate.planning.named import heuristic_policy
 from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
 from foveate.policies.steering import steer
 from foveate.scenario.region import RegionSettings
@@ -225,3 +227,25 @@ def test_wrong_settings():
     still = replace(Scenario().scenes, drift_m_s=(0.0, 0.0))
     with pytest.raises(ValueError, match="begins with the position"):
         SMALL.policy(replace(Scenario(), target=target, scenes=still).problem(), KEY)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_with_the_window_it_can_be_that_heuristic(name):
+    """Which has tests of its own, and stands still without a target; the network's corrections are 0 here."""
+    problem = SCENARIOS[name].problem()
+    policy = replace(SMALL, window=True).policy(problem, KEY)
+    policy = eqx.tree_at(lambda x: (x.window, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer)))
+    window = heuristic_policy("window", problem, float(problem.sensor.view.extent.ahead_m))
+    decides = eqx.filter_jit(lambda observation: window(observation, (), KEY)[0])
+    for seed in range(3):
+        observation = seen(SCENARIOS[name], *scene(SCENARIOS[name].dimension, TARGETS, seed))
+        np.testing.assert_allclose(decide(policy, observation), decides(observation), atol=1e-9)
+
+
+def test_the_window_is_for_the_open():
+    with pytest.raises(InputError, match="window = True: expected false with rays"):
+        PointerSettings(kind="pointer", window=True, rays=8)
+
+
+def zero(layer):
+    return jax.tree.map(jnp.zeros_like, layer)
