@@ -140,7 +140,8 @@ def cost() -> None:
             program(*arguments).block_until_ready()
             times[name].append(time.process_time() - start)
     for name, each in times.items():
-        print(f"{name}: {min(each):.3f} s, {min(each) / min(times['one']):.2f} times that of one robot")
+        median = np.median(each)
+        print(f"{name}: median {median:.3f} s, {median / np.median(times['one']):.2f} times that of one robot")
 
 
 if __name__ == "__main__":

@@ -87,6 +87,7 @@ TESTED_ELSEWHERE = {
     **dict.fromkeys(("io.records", "io.validate"), "io/test_toml.py"),
     **dict.fromkeys(("recordings.velocities", "recordings.moments"), "recordings/test_motion.py"),
     **dict.fromkeys(("recordings.definitions", "recordings.unpack"), "recordings/test_bags.py"),
+    "ros.main": "ros/test_node.py",
     "ros.records": "ros/test_core.py",
     **{f"recordings.{name}": "recordings/test_tables.py" for name in ("clock", "fixes", "layout", "rows")},
     "recordings.unused": "recordings/test_outliers.py",
@@ -99,7 +100,10 @@ TESTED_ELSEWHERE = {
     },
     "plotting.track_data": "plotting/test_undetected.py",
     **dict.fromkeys(("plotting.render", "plotting.replay"), "cli/test_cli.py"),
-    **{f"plotting.live.{name}": "plotting/live/test_server.py" for name in ("chart", "player", "scene", "sources")},
+    **{
+        f"plotting.live.{name}": "plotting/live/test_server.py"
+        for name in ("chart", "mates", "player", "primitives", "scene", "sources")
+    },
     **dict.fromkeys(("study.jobs", "study.methods", "study.study"), "study/test_run.py"),
     "io.tables": "study/test_tables.py",
     "study.publish": "cli/test_reproduce.py",

@@ -20,7 +20,7 @@ Assignment = Literal["greedy", "hungarian", "auction"]
 Learner = Literal["policy-gradient", "actor-critic", "ppo", "ppo-tuned"]
 """A training algorithm with its settings."""
 
-Preset = Literal["paper", "best", "true-view", "search", "quadrotor", "any", "pan", "pan-tilt", "rooms"]
+Preset = Literal["paper", "best", "true-view", "search", "quadrotor", "any", "pan", "pan-tilt", "rooms", "forest"]
 """An experiment of the package, which also ships its trained policy."""
 
 ProtocolName = Literal["surrogate", "true"]

@@ -29,6 +29,9 @@ def test_every_preset_has_a_card_of_what_its_files_say():
         assert f"{table['training']['select']} protocol" in words["Score"]
         assert card.robot.startswith(table["scenario"]["agent"]["kind"])
         assert card.view.startswith(table["scenario"]["view"]["shape"])
+        among = table["scenario"].get("obstacles", {}).get("kind", "")
+        assert words.get("Obstacles", "").partition(" ")[0] == among
+        assert ("obstacles that hide targets" in words["Limits"]) == (name in ("rooms", "forest")) == (among != "")
         assert words["Licence"].startswith("Apache-2.0")
         file = TRAINED / name / "verdict.json"
         rows = json.loads(file.read_text(encoding="utf-8"))["rows"] if file.exists() else []

@@ -91,7 +91,9 @@ def test_the_least_distance_of_a_cell_is_one(d):
     rng = np.random.default_rng(4)
     needle = rectangle((-0.02,) * d, (3.0, 0.02, 0.02)[:d])
     grid, points = grid_of([needle], (-3.0,) * d, (4.0,) * d), rng.uniform(-3.0, 4.0, (20_000, d))
-    found, expected = np.asarray(grid.at_least(jnp.asarray(points))), needle.signed_distance(points)
+    line = grid.line(jnp.zeros(d), jnp.asarray(points))  # each a metre along a line of its own
+    found, expected = np.asarray(grid.at_least(line(jnp.ones(len(points))))), needle.signed_distance(points)
+    np.testing.assert_allclose(grid.at(line(jnp.ones(len(points)))), grid(jnp.asarray(points)), atol=1e-9)
     assert (found <= expected + 1e-9).all()
     assert (expected - found).mean() < 1.3 * CELL_M
 

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 import shapely
 
+import foveate
+from foveate.deploy.policy import RobotPolicy
 from foveate.errors import InputError
+from foveate.experiment.experiment import Experiment
 from foveate.policies.heuristics import Nearest, Random
 from foveate.policies.keep_off import KeepOff
 from foveate.scenario.agent import DifferentialDrive
@@ -82,6 +85,76 @@ def test_a_safe_action_stays_and_one_into_a_wall_is_shortened_or_turned():
     np.testing.assert_allclose(after(1.39, 9.0, 2.0), [0.0, 2.0], atol=1e-6)
 
 
+def arcs(starts, controls, count=200):
+    """Places (n, count + 1, 2) of robots at constant speed and turn rate for a second, in closed form."""
+    (x, y, yaw), (v, w) = np.asarray(starts, float).T, np.asarray(controls, float).T
+    t = np.linspace(0.0, 1.0, count + 1)[:, None]
+    half = 0.5 * w * t  # the chord of an arc is v t sinc(w t / 2), at half its turn
+    chord = v * t * np.sinc(half / np.pi)
+    return np.stack([x + chord * np.cos(yaw + half), y + chord * np.sin(yaw + half)], axis=-1).swapaxes(0, 1)
+
+
+KEEPING = replace(SCENARIO, tau_s=1.0, obstacles=replace(CIRCLES, keep_off_m=KEEP_M))
+
+
+def test_in_a_scenario_that_keeps_off_no_action_leads_too_near():
+    """300 robots, 4 random actions each: all arcs, from where robots are far enough away."""
+    problem, rng, walls = KEEPING.problem(), np.random.default_rng(1), union()
+    places = rng.uniform(-8.0, 8.0, (1500, 2))
+    needed = CIRCLES.robot_radius_m + KEEP_M + 2.5 * CIRCLES.resolution_m
+    poses = places[shapely.distance(walls, shapely.points(places)) > needed][:300]
+    poses = np.column_stack([poses, rng.uniform(-3.0, 3.0, len(poses))])
+
+    @jax.jit
+    @jax.vmap
+    def move(pose, action):
+        short = problem.kept_off(pose, action)
+        return problem.move(pose, action, None, jnp.zeros(0, bool)), problem.agent.control(short)
+
+    nearest, stopped = [], 0
+    for _ in range(4):
+        actions = rng.uniform(-1.0, 1.0, (len(poses), 2))
+        after, controls = map(np.asarray, move(poses, actions))
+        ways = arcs(poses, controls)
+        np.testing.assert_allclose(after[:, :2], ways[:, -1], atol=1e-4)  # to its end: nothing is in the way
+        nearest.append(shapely.distance(walls, shapely.linestrings(ways)).min())
+        stopped += int((controls[:, 0] == 0).sum())
+        poses = after
+    assert len(poses) == 300
+    assert min(nearest) >= CIRCLES.robot_radius_m + KEEP_M - 1e-3
+    assert 0 < stopped < 400
+
+
+@pytest.mark.slow
+def test_an_episode_in_it_has_no_contact_and_records_what_was_done():
+    def run(key):
+        problem = KEEPING.problem()
+        return rollout(problem, Random(problem), training_episode(problem, HALL, key, noise=True), TRUE, key)
+
+    trace = jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 8))
+    assert not np.asarray(trace.contacts).any()
+    agent = KEEPING.problem().agent
+    controls = np.asarray(jax.vmap(jax.vmap(agent.control))(trace.action))
+    poses = np.asarray(trace.pose)
+    ends = arcs(poses[:, :-1].reshape(-1, 3), controls.reshape(-1, 2))[:, -1]
+    np.testing.assert_allclose(poses[:, 1:, :2].reshape(-1, 2), ends, atol=1e-4)
+
+
+def test_a_robots_command_is_shortened_in_it():
+    """Of random policies that want ahead, 0.35 m and a margin before a wall; in the open none is."""
+    wall = ShapeObstacles(boxes=((2.0, -6.0, 3.0, 6.0),), robot_radius_m=0.2)
+    agent, belief = DifferentialDrive(v_min_m_s=0.0, v_max_m_s=2.0), foveate.Belief([[3.5, 0.0]], covariance=np.eye(2))
+    commands = []
+    for obstacles in (replace(wall, keep_off_m=0.0), wall):
+        scenario = replace(SCENARIO, agent=agent, obstacles=obstacles)
+        network = Random(scenario.problem())
+        policy = RobotPolicy(name="random", experiment=Experiment(scenario=scenario), network=network, seed=1)
+        commands.append(policy(belief, [1.3, 0.0, 0.0]))
+    assert commands[1][0] > 0.8
+    way = shapely.linestrings(arcs([[1.3, 0.0, 0.0]], [commands[0]]))[0]
+    assert 0.2 <= shapely.distance(shapely.box(2.0, -6.0, 3.0, 6.0), way) < 0.5
+
+
 BAD = {
     "no obstacles": (replace(SCENARIO, obstacles=None), KEEP_M, "problem.obstacles = None"),
     "negative": (SCENARIO, -1.0, "keep_off_m = -1.0: expected >= 0"),
@@ -112,3 +185,14 @@ def test_what_cannot_be_kept_is_one_line(name):
         KeepOff(Random(problem), problem, keep_off_m)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["always ahead", "commands", "borders"])
+def test_a_scenario_that_cannot_keep_off_is_one_line(name):
+    scenario, _, words = BAD[name]
+    with pytest.raises(InputError) as caught:
+        replace(scenario, obstacles=replace(CIRCLES, keep_off_m=0.1))
+    assert str(caught.value).startswith("obstacles.keep_off_m: ")
+    assert words in str(caught.value)
+    with pytest.raises(InputError, match="keep_off_m"):
+        replace(CIRCLES, keep_off_m=-0.1)

@@ -1,6 +1,7 @@
 """Bags of replays, read back by rosbags as any tool would, against the trace."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from foveate.planning.named import heuristic_policy
 from foveate.recordings.formats import load_recording
 from foveate.recordings.replay import drive, prepare_replay
 from foveate.ros.bag import write_replay
+from foveate.scenario.obstacles import ShapeObstacles
 
 pytest.importorskip("rosbags", reason="bags of ROS need the extra ros")
 from rosbags.highlevel import AnyReader
 
 ORIGIN_S = 1_760_000_000
 TIMES = np.arange(0.0, 10.1, 0.25)
+WALL = ShapeObstacles(boxes=((-4.0, -3.0, -3.6, 2.0),), targets="free")
 
 
 def read(path):
@@ -37,7 +40,7 @@ def read(path):
 def written(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "run.mcap"
     if request.param == "plane":
-        scenario, d, start = PLANE, 2, [0.0, 0.0, 0.3]
+        scenario, d, start = replace(PLANE, obstacles=WALL), 2, [0.0, 0.0, 0.3]
     else:
         scenario, d, start = PRESETS["quadrotor"].scenario, 3, [0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]
     line = np.column_stack([2 + 0.1 * TIMES, 0.5 - 0.1 * TIMES, 2.0 + 0 * TIMES])[:, :d]
@@ -49,8 +52,9 @@ def written(request, tmp_path_factory):
 
 
 def test_topics_have_the_types_that_tools_know(written):
-    _, kinds, _, _, _ = written
-    assert kinds == {
+    _, kinds, _, _, d = written
+    walls = {"/walls": "nav_msgs/msg/OccupancyGrid"} if d == 2 else {}
+    assert kinds == walls | {
         "/tf": "tf2_msgs/msg/TFMessage",
         "/odom": "nav_msgs/msg/Odometry",
         "/cmd_vel": "geometry_msgs/msg/TwistStamped",
@@ -86,6 +90,22 @@ def test_poses_are_those_of_the_trace(written):
     step = np.asarray(trace.pose[1])[:2] - np.asarray(trace.pose[0])[:2] if d == 2 else None
     if step is not None:
         assert np.linalg.norm(step) <= abs(speed) * 0.5 + 1e-6  # an arc is longer than its chord
+
+
+def test_walls_are_those_of_the_scenario(written):
+    """Sent once: their occupied cells have the area of the box, but for half a cell all around."""
+    found, _, _, _, d = written
+    if d == 3:
+        assert "/walls" not in found
+        return
+    ((stamp, walls),) = found["/walls"]
+    assert (stamp, walls.header.frame_id) == (ORIGIN_S * 10**9, "map")
+    rows, columns = np.nonzero(walls.data.reshape(walls.info.height, walls.info.width))
+    corner, cell = walls.info.origin.position, walls.info.resolution
+    for indices, low, first, last in ((columns, corner.x, -4.0, -3.6), (rows, corner.y, -3.0, 2.0)):
+        assert low + cell * indices.min() == pytest.approx(first, abs=0.51 * cell)
+        assert low + cell * (indices.max() + 1) == pytest.approx(last, abs=0.51 * cell)
+    assert len(rows) == (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
 
 
 def test_beliefs_and_detections_are_those_of_the_trace(written):

@@ -3,19 +3,23 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import shapely
 from helpers.ros import PLANE, Watched, detections, odometry
 
 from foveate.errors import InputError
 from foveate.experiment.presets import PRESETS
 from foveate.ros import node as module
-from foveate.ros.messages import Messages
-from foveate.ros.node import Driver, main, topic_name
+from foveate.ros.main import main
+from foveate.ros.messages import Messages, topic_name
+from foveate.ros.node import Driver
+from foveate.scenario.obstacles import ShapeObstacles
 
 pytest.importorskip("rosbags", reason="message definitions need the extra ros")
 from foveate.recordings.definitions import typestore
@@ -98,6 +102,25 @@ def test_messages_go_in_and_a_command_and_beliefs_come_out(watched):
     assert [level for level, _ in node.lines] == ["info"]
 
 
+def test_robots_of_a_team_hear_each_other(watched):
+    """What one node sends on /team, as it is in bytes, is what the other takes."""
+    nodes = [Node(policy="any", robot=name) for name in ("r1", "r2")]
+    drivers = [Driver(node, find, "qos") for node in nodes]
+    for node in nodes:
+        node.subscriptions["odom"](MAKE.odometry(odometry(99.9), (0.0,) * 6))
+    nodes[0].subscriptions["detections"](MAKE.detections(detections(99.95, a=(3, 1, 0))))
+    drivers[0].step()
+    nodes[1].subscriptions["/team"](nodes[0].sent["/team"][-1])
+    drivers[1].step()
+    (belief,) = nodes[1].sent["beliefs/target_a"]
+    assert belief.pose.pose.position.x == pytest.approx(3)
+    nodes[1].subscriptions["/team"](MAKE.text("no message"))
+    assert nodes[1].lines[-1][1].startswith("team: a message is no JSON")
+    alone = Node(policy="any")
+    Driver(alone, find, "qos").step()
+    assert "/team" not in {*alone.sent, *alone.subscriptions}
+
+
 def test_parameters_reach_the_core(watched):
     node = Node(stamped=True, odometry_timeout_s=0.2, gate=1.0, period_s=0.25, lag_s=2.0)
     driver = Driver(node, find, "qos", "runs/a")
@@ -135,7 +158,36 @@ def test_a_map_is_waited_for_and_taken(watched):
     assert node.sent["cmd_vel"][-1].linear.x == 0.0  # it stands meanwhile
     driver.step()
     assert [(each.linear.x, each.angular.z) for each in node.sent["cmd_vel"]][-1] == (0.0, -0.5)
+    (walls,) = node.sent["walls"]  # once, and as they came, within a border of one cell: all beyond is a wall
+    assert (walls.header.frame_id, walls.info.width, walls.info.height) == ("odom", 42, 42)
+    corner, resolution = walls.info.origin.position, walls.info.resolution
+    np.testing.assert_allclose([corner.x, corner.y, resolution], [-2.1, -2.1, 0.1], atol=1e-6)
+    np.testing.assert_array_equal(walls.data.reshape(42, 42)[1:-1, 1:-1], cells)
+    assert (walls.data.reshape(42, 42)[[0, -1]] == 100).all()
+    node.subscriptions["odom"](MAKE.odometry(odometry(100.0, frame="map"), (0.0,) * 6))
+    node.subscriptions["odom"](MAKE.odometry(odometry(100.1, frame="map"), (0.0,) * 6))
+    assert len(node.sent["walls"]) == 1  # in another frame they are none, until a map comes in that
     assert "map" not in [text.partition(":")[0] for _, text in node.lines]
+
+
+def test_walls_that_a_policy_was_trained_among_are_published(monkeypatch):
+    """Those of its scenario, cell by cell: a wall of 0.4 m across, as shapely has it."""
+    wall = ShapeObstacles(boxes=((1.0, -2.0, 1.4, 3.0),))
+    policy = Watched(replace(PLANE, obstacles=wall))
+    monkeypatch.setattr(module, "load_model", lambda name: policy.core.model)
+    node = Node(policy="any")
+    Driver(node, find, "qos")
+    assert not node.sent["walls"]  # there is no frame yet
+    for time_s in (99.9, 100.0):
+        node.subscriptions["odom"](MAKE.odometry(odometry(time_s), (0.0,) * 6))
+    (walls,) = node.sent["walls"]
+    info, corner = walls.info, walls.info.origin.position
+    x, y = (c + info.resolution * (np.arange(n) + 0.5) for c, n in ((corner.x, info.width), (corner.y, info.height)))
+    box, middles = shapely.box(1.0, -2.0, 1.4, 3.0), shapely.points(*np.meshgrid(x, y))
+    inside, border = shapely.contains(box, middles), shapely.distance(box.exterior, middles) < 1e-3
+    found = walls.data.reshape(info.height, info.width)
+    np.testing.assert_array_equal(found[~border], 100 * inside[~border])
+    assert 150 < (found == 100).sum() < 260
 
 
 @pytest.mark.parametrize(

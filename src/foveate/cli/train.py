@@ -25,8 +25,8 @@ class Train(Command):
     actor-critic for the surrogate and the true score alike (5 minutes). true-view: the same for the true score alone.
     search: the same with consistent initial errors and a filter that uses missed detections. quadrotor: a flying camera
     over constant-velocity targets in space. pan, pan-tilt: a camera that only turns, in the plane and in space.
-    rooms: a robot among walls, told ranges and ways around them. any: one policy for any robot in the plane. `foveate
-    presets` prints more of each."""
+    rooms: a robot among walls, told ranges and ways around them. forest: the same of the flying camera among trunks.
+    any: one policy for any robot in the plane. `foveate presets` prints more of each."""
     config: Annotated[Path | None, option("FILE.toml")] = None
     """Experiment in place of a preset: from `foveate fit` or `foveate config`, or a copy of config.toml of a run."""
     set: Changes = ()

@@ -26,6 +26,7 @@ from foveate.io.validate import require
 from foveate.models.obstacles import Obstacles
 from foveate.models.problem import Problem
 from foveate.names import Objective, ProtocolName
+from foveate.policies.keep_off import KeepOff
 from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene
@@ -78,7 +79,10 @@ class RobotPolicy(NamedPolicy):
 
     @cached_property
     def _decider(self) -> Decider:
-        return Decider(self.network, self.problem.agent, self.seed)
+        obstacles, network = self.problem.obstacles, self.network
+        if obstacles is not None and obstacles.keep_off is not None:
+            network = KeepOff(network, self.problem, float(obstacles.keep_off))
+        return Decider(network, self.problem.agent, self.seed)
 
     def reset(self) -> None:
         """Forget all decisions: the next one is the first of an episode."""

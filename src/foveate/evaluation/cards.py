@@ -33,10 +33,11 @@ LEFT_OUT = ("kind", "shape", "algorithm", "policy", "initial_error")
 class Card:
     """A trained policy of the package.
 
-    `robot`, `view`, `sensor` and `targets` are settings of its scenario, which it is limited to, in the words and units
-    of TOML files. `held_out` is its mean score by the `objective` under the `protocol`, in `episodes` that selected it
-    but did not train it. `verdict`: its place beside heuristics and a planner, in words; empty where it was not judged.
-    `worlds`: where it was trained, in its own scenario or in those of random robots.
+    `robot`, `view`, `sensor`, `targets` and `obstacles` (empty without) are settings of its scenario, which it is
+    limited to, in the words and units of TOML files. `held_out` is its mean score by the `objective` under the
+    `protocol`, in `episodes` that selected it but did not train it. `verdict`: its place beside heuristics and a
+    planner, in words; empty where it was not judged. `worlds`: where it was trained, in its own scenario or in those
+    of random robots.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Card:
     view: str
     sensor: str
     targets: str
+    obstacles: str
     targets_min: int
     targets_max: int
     steps: str
@@ -87,6 +89,7 @@ def _card(run: Path) -> Card:
         view=settings_text(scenario.view),
         sensor=settings_text(scenario.sensor),
         targets=settings_text(scenario.target),
+        obstacles="" if scenario.obstacles is None else settings_text(scenario.obstacles),
         targets_min=scenes.targets_min,
         targets_max=scenes.targets_max,
         steps=f"{least if least == most else f'{least} to {most}'} steps of {float(scenario.tau_s):g} s",
@@ -146,18 +149,20 @@ def facts(card: Card) -> dict[str, str]:
         "random": "simulated episodes of random worlds, also those that selected it: each has another robot, view, "
         f"sensor and targets. No recordings. Below is the scenario of its verdict: {own}.",
     }
+    hidden = "are obstacles that hide targets," if card.obstacles else "are no occlusion,"
     return {
         "Data": data[card.worlds],
         "Robot": card.robot,
         "View": card.view,
         "Sensor": card.sensor,
         "Targets": card.targets,
+        **({"Obstacles": card.obstacles} if card.obstacles else {}),
         "Training": f"{card.learner}, {card.iterations} iterations, {card.trained_s:.0f} s on 2 cores, seed "
         f"{card.seed}, foveate {card.version}. Again: foveate train --preset {card.name}",
         "Score": f"{card.held_out:.2f}: {OBJECTIVES[card.objective]}, {card.protocol} protocol, mean of "
         f"{card.episodes} held-out episodes",
         "Verdict": f"{' '.join(card.verdict)} In full: foveate evaluate {card.name} --scenes own --method all".lstrip(),
-        "Limits": f"{LIMITS[card.worlds]} Simulated are no occlusion, no false alarms and no confused identities.",
+        "Limits": f"{LIMITS[card.worlds]} Simulated {hidden} no false alarms and no confused identities.",
         "Size": f"{card.network} network of {card.weights:,} weights, {card.size_bytes / 1024:.0f} KiB",
         "Licence": f"{card.licence}, as foveate",
     }

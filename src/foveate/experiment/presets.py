@@ -10,7 +10,7 @@ from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
 from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
 from foveate.scenario.field_of_view import ConeView, FrustumView, SectorView
-from foveate.scenario.random_obstacles import RoomObstacles
+from foveate.scenario.random_obstacles import ForestObstacles, RoomObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -89,9 +89,21 @@ ROOMS = Scenario(
         steps=48,
         initial_error="consistent",
     ),
-    obstacles=RoomObstacles(maps=32),
+    obstacles=RoomObstacles(maps=32, keep_off_m=0.0),
 )
 """A slow robot among 3 to 6 targets that walk through the rooms of a floor of 18 x 18 m, for 24 s."""
+
+FOREST = replace(
+    QUADROTOR,
+    target=VelocityTarget(
+        acceleration_m2_s3=0.02,
+        initial_variance_m2=1.0,
+        initial_velocity_variance_m2_s2=0.16,
+    ),
+    scenes=replace(QUADROTOR.scenes, targets_max=6, half_side_m=(12.0, 12.0, 1.5), steps=40),
+    obstacles=ForestObstacles(density_per_m2=0.04, radius_m=(0.2, 0.4), height_m=(6.0, 9.0), keep_off_m=0.0),
+)
+"""The flying camera of QUADROTOR among the trunks of a wood of 24 x 24 m, taller than it flies, for 20 s."""
 
 POINTER, ACTOR_CRITIC = PointerSettings(), ActorCriticSettings()
 
@@ -131,6 +143,11 @@ PRESETS = {
         scenario=ROOMS,
         policy=replace(POINTER, rays=16),
         training=replace(ACTOR_CRITIC, objective="mean", epochs=240),
+    ),
+    "forest": Experiment(
+        scenario=FOREST,
+        policy=replace(POINTER, rays=32),
+        training=replace(ACTOR_CRITIC, objective="mean"),
     ),
 }
 """Experiments by the names of the presets; the package has a trained policy of each."""

@@ -5,7 +5,9 @@ The distance is > 0 outside of obstacles and < 0 inside, and exact at the nodes.
 """
 
 import math
+from collections.abc import Callable
 from itertools import product
+from operator import mul
 from typing import NamedTuple
 
 import equinox as eqx
@@ -45,15 +47,19 @@ class Nodes(NamedTuple):
         return self.positions().reshape(-1, len(self.low))[best]
 
 
+Places = list[Float[Array, "*n"]]
+"""Positions axis by axis, in cells from the first node."""
+
+
 class DistanceGrid(eqx.Module):
     """Interpolated signed distances of the map with the number `index`.
 
-    `corners` holds the distances at all corners of every cell of every map, so that one access reads a cell, and
-    `least` what the distance in a cell is at least. Positions beyond the grid take the value at its border, which is
-    never more than the distance to what is in the grid.
+    `distance` holds the distances at the nodes of all maps, and `least`, at the first node of each cell, what the
+    distance in the cell is at least. Positions beyond the grid take the value at its border, which is never more than
+    the distance to what is in the grid.
     """
 
-    corners: Float[Array, "entries corners"]
+    distance: Float[Array, " entries"]
     least: Float[Array, " entries"]
     low: Float[Array, " d"]
     cell: Scalar
@@ -66,17 +72,18 @@ class DistanceGrid(eqx.Module):
         """The grid of distances at nodes, at least two on each axis, with the first map chosen."""
         values, d = nodes.distance, len(nodes.low)
         cells = tuple(n - 1 for n in values.shape[1:])
-        parts = [
-            values[(slice(None), *(slice(i, i + n) for i, n in zip(corner, cells, strict=True)))].ravel()
+        corners = [
+            values[(slice(None), *(slice(i, i + n) for i, n in zip(corner, cells, strict=True)))]
             for corner in product((0, 1), repeat=d)
         ]
-        corners = np.stack(parts, axis=-1)
         # The distance at a place is at least the mean of those at all corners less its mean distance from them, which
         # is largest at a corner.
         away = np.mean([math.dist(corner, (0,) * d) for corner in product((0, 1), repeat=d)])
+        least = np.mean(corners, axis=0) - away * nodes.cell_m
+        least = np.pad(least, [(0, 0), *[(0, 1)] * d], mode="edge")  # numbered as the nodes are
         return cls(
-            corners=jnp.asarray(corners, float),
-            least=jnp.asarray(corners.mean(axis=-1) - away * nodes.cell_m, float),
+            distance=jnp.asarray(values.ravel(), float),
+            least=jnp.asarray(least.ravel(), float),
             low=jnp.asarray(nodes.low, float),
             cell=jnp.asarray(nodes.cell_m, float),
             index=jnp.zeros((), int),
@@ -85,17 +92,13 @@ class DistanceGrid(eqx.Module):
 
     def nodes(self) -> Nodes:
         """Distances at the nodes of the chosen map, as numpy arrays."""
-        first = int(self.index) * math.prod(self.cells)
-        own = np.asarray(self.corners, float)[first : first + math.prod(self.cells)].reshape(*self.cells, -1)
-        distance = np.zeros(tuple(n + 1 for n in self.cells))
-        for i, corner in enumerate(product((0, 1), repeat=len(self.cells))):
-            distance[tuple(slice(at, at + n) for at, n in zip(corner, self.cells, strict=True))] = own[..., i]
-        return Nodes(distance[None], np.asarray(self.low, float), float(self.cell))
+        own = np.asarray(self.distance, float).reshape(-1, *self._counts)[int(self.index)]
+        return Nodes(own[None], np.asarray(self.low, float), float(self.cell))
 
     @property
     def maps(self) -> int:
         """Number of maps."""
-        return len(self.corners) // math.prod(self.cells)
+        return len(self.distance) // math.prod(self._counts)
 
     @property
     def slack(self) -> Scalar:
@@ -104,26 +107,53 @@ class DistanceGrid(eqx.Module):
 
     def __call__(self, points_world: Float[Array, "*n d"]) -> Float[Array, "*n"]:
         """Signed distances [m] at positions [m], linear in each coordinate within a cell."""
-        entry, shares = self._cell_of(points_world)
-        found = self.corners.at[entry].get(mode="promise_in_bounds")
+        return self.at(self._places((points_world - self.low) / self.cell))
+
+    def line(
+        self, start_world: Float[Array, " d"], directions_world: Float[Array, "n d"]
+    ) -> Callable[[Float[Array, " n"]], Places]:
+        """The places on lines from a position [m] in directions of unit length, by how far along they are [m].
+
+        They are given axis by axis, so that no array of points has to be written between two steps along a line.
+        """
+        first, slopes = self._places((start_world - self.low) / self.cell), self._places(directions_world / self.cell)
+        return lambda along: [place + along * slope for place, slope in zip(first, slopes, strict=True)]
+
+    def at(self, places: Places) -> Float[Array, "*n"]:
+        """Signed distances [m] at places of a `line`."""
+        entry, shares = self._cell_of(places)
+        strides = [math.prod(self._counts[axis + 1 :]) for axis in range(len(self.cells))]
+        # A number at a time from a table that fits into a cache, not a row of all corners from one 2^d times as large.
+        found = [
+            self.distance.at[entry + sum(map(mul, corner, strides))].get(mode="promise_in_bounds")
+            for corner in product((0, 1), repeat=len(strides))
+        ]
         for share in shares:
-            half = found.shape[-1] // 2
-            found = found[..., :half] + share[..., None] * (found[..., half:] - found[..., :half])
-        return found[..., 0]
+            half = len(found) // 2
+            found = [low + share * (high - low) for low, high in zip(found[:half], found[half:], strict=True)]
+        return found[0]
 
-    def at_least(self, points_world: Float[Array, "*n d"]) -> Float[Array, "*n"]:
-        """What the true distances [m] are at least at positions [m]: about a cell less."""
-        return self.least.at[self._cell_of(points_world)[0]].get(mode="promise_in_bounds")
+    def at_least(self, places: Places) -> Float[Array, "*n"]:
+        """What the true distances [m] are at least at places of a `line`: about a cell less."""
+        return self.least.at[self._cell_of(places)[0]].get(mode="promise_in_bounds")
 
-    def _cell_of(self, points_world: Float[Array, "*n d"]) -> tuple[Int[Array, "*n"], list[Float[Array, "*n"]]]:
-        """Number of the cell of each position, and its place in the cell on each axis, from 0 to 1."""
+    @property
+    def _counts(self) -> tuple[int, ...]:
+        """Number of nodes on each axis."""
+        return tuple(count + 1 for count in self.cells)
+
+    def _places(self, in_cells: Float[Array, "*n d"]) -> Places:
+        return [in_cells[..., axis] for axis in range(len(self.cells))]
+
+    def _cell_of(self, places: Places) -> tuple[Int[Array, "*n"], Places]:
+        """Number of the first node of the cell of each place, and the place in the cell on each axis, from 0 to 1."""
         entry, shares = self.index, []
-        for axis, count in enumerate(self.cells):
-            value = jnp.clip((points_world[..., axis] - self.low[axis]) / self.cell, 0.0, float(count))
+        for value, count in zip(places, self.cells, strict=True):
+            inside = jnp.clip(value, 0.0, float(count))
             # Clipped as a whole number too: positions in padding may be no numbers.
-            cell = jnp.clip(value.astype(int), 0, count - 1)
-            entry = entry * count + cell
-            shares.append(value - cell.astype(value.dtype))
+            cell = jnp.clip(inside.astype(int), 0, count - 1)
+            entry = entry * (count + 1) + cell
+            shares.append(inside - cell.astype(inside.dtype))
         return entry, shares
 
 

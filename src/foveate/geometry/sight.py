@@ -63,18 +63,21 @@ def _is_free(
     lost: Scalar,
     stride: Scalar,
 ) -> Bool[Array, " n"]:
-    """True where the distance is more than `least` all along a line, by steps of the distance less `lost`."""
+    """True where the distance is more than `least` all along a line, by steps of the distance less `lost` and a stride.
+
+    As far as the distance less `lost` nothing is, and from there on a look every stride is enough.
+    """
     way = points_world - eye
     length = jnp.linalg.norm(way, axis=-1)
-    direction = way / jnp.maximum(length, 1e-9)[:, None]
+    line = grid.line(eye, way / jnp.maximum(length, 1e-9)[:, None])
 
     def advance(carry):
         at, active, free = carry
-        distance = grid(eye + at[:, None] * direction)
+        distance = grid.at(line(at))
         clear = distance > least
         free = jnp.where(active, clear, free)
         active = active & clear & (at < length)
-        return jnp.minimum(at + jnp.maximum(distance - lost, stride), length), active, free
+        return jnp.minimum(at + jnp.maximum(distance - lost, 0.0) + stride, length), active, free
 
     first = jnp.zeros_like(length), asked, jnp.zeros_like(asked)
     return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), advance, first)[2]
@@ -96,9 +99,10 @@ def ranges(
     grid: DistanceGrid, eye: Point, directions_world: Float[Array, "rays d"], most_m: Scalar | float
 ) -> Float[Array, " rays"]:
     """Free range along rays of unit length, at most `most_m` [m]: never too long, and some cells too short."""
+    line = grid.line(eye, directions_world)
 
     def advance(_, at):
-        return jnp.minimum(at + jnp.maximum(grid.at_least(eye + at[:, None] * directions_world), 0.0), most_m)
+        return jnp.minimum(at + jnp.maximum(grid.at_least(line(at)), 0.0), most_m)
 
     return jax.lax.fori_loop(0, RAY_STEPS, advance, jnp.zeros_like(directions_world[:, 0]))
 
@@ -143,22 +147,23 @@ def share_free(
     def room(share: Scalar) -> Scalar:
         return grid(way(fixed, share)) - least
 
-    floor = jnp.minimum(room(begin), 0.0)
+    first_room = room(begin)
+    floor = jnp.minimum(first_room, 0.0)
 
+    # As far as there is room the way is clear, and from there on a look every stride is enough.
     def advance(carry):
-        done, ahead, here, _ = carry
+        done, clear_to, ahead, _ = carry
         there = room(ahead)
         clear = there >= floor
-        done, here = jnp.where(clear, ahead, done), jnp.where(clear, there, here)
-        return (
-            done,
-            jnp.where(clear, jnp.minimum(ahead + jnp.maximum(there, stride) / length, 1.0), ahead),
-            here,
-            ~clear,
-        )
+        done = jnp.where(clear, ahead, done)
+        clear_to = jnp.where(clear, ahead + jnp.maximum(there, 0.0) / length, clear_to)
+        return done, clear_to, jnp.minimum(clear_to + stride / length, 1.0), ~clear
 
-    first = begin, jnp.minimum(jnp.maximum(room(begin), stride) / length, 1.0), room(begin), jnp.array(False)
-    done, ahead, _, touches = jax.lax.while_loop(lambda carry: (carry[0] < 1.0) & ~carry[3], advance, first)
+    clear_to = jnp.maximum(first_room, 0.0) / length
+    first = begin, clear_to, jnp.minimum(clear_to + stride / length, 1.0), jnp.array(False)
+    done, clear_to, ahead, touches = jax.lax.while_loop(lambda carry: (carry[0] < 1.0) & ~carry[3], advance, first)
+    # The grid may say less there than it should, and a body that stopped on such a place would begin too near.
+    done = jnp.where(room(clear_to) >= floor, jnp.minimum(clear_to, ahead), done)
 
     def halve(_, pair):
         free, blocked = pair

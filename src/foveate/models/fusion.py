@@ -45,6 +45,13 @@ def evidence_of(
     return Evidence(gain, pull + gain @ (prediction.mean - reference), growth)
 
 
+def linear_pull(
+    H: Float[Array, "n_z n_y"], V: Float[Array, "n_z n_z"], measurement: Float[Array, " n_z"], reference: Mean
+) -> Mean:
+    """H^T V^-1 (z - H reference) of a linear measurement with the covariance V."""
+    return H.T @ (inverse_spd(V) @ (measurement - H @ reference))
+
+
 def corrected_by(prediction: Belief, evidence: Evidence, reference: Mean) -> Mean:
     """mu = p + (P + gain)^-1 H^T V^-1 (z - H p), the Kalman filter's mean after all this evidence."""
     pull = evidence.pull - evidence.gain @ (prediction.mean - reference)

@@ -28,7 +28,8 @@ class Obstacles(eqx.Module):
 
     Of the maps the first `training` are those of training, the rest, if any, those of test scenes. `radius` [m] is that
     of the agent's body, `freest` the place of each map that is farthest from all obstacles, `ways` has the agent's ways
-    around them, and `samples` is the number of places on a line of sight at which a soft view looks.
+    around them, and `samples` is the number of places on a line of sight at which a soft view looks. With `keep_off`
+    [m] every action is shortened so that the body keeps this distance (`Problem.shortened`).
     """
 
     grid: DistanceGrid
@@ -38,6 +39,7 @@ class Obstacles(eqx.Module):
     training: int = eqx.field(static=True)
     samples: int = eqx.field(static=True)
     targets: Literal["around", "free"] = eqx.field(static=True, default="around")
+    keep_off: Scalar | None = None
 
     def of_map(self, number: Count) -> "Obstacles":
         """The same with another map chosen."""

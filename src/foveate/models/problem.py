@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
+from foveate.geometry import sight
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
 from foveate.models.detections.records import DetectionModel
@@ -18,6 +20,9 @@ from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.models.team import Team
 from foveate.types import Action, Count, Flag, Information, Point, Pose, Scalar, Twist
+
+TURN_BELOW = 0.05
+"""A robot that may do less than this share of its step turns on the spot as it was told to, and does not move."""
 
 
 class Schedule(eqx.Module):
@@ -56,6 +61,7 @@ class Problem(eqx.Module):
         self, pose: Pose, action: Action, positions_world: Float[Array, "n d"] | None, present: Bool[Array, " n"]
     ) -> Pose:
         """The pose after one action, which borders and obstacles may end and, with their positions, targets, too."""
+        action = self.kept_off(pose, action)
         after = self.agent.move(pose, action, self.tau)
         if self.bounds_agent:
             after = self.within_region(pose, after)
@@ -129,10 +135,42 @@ class Problem(eqx.Module):
             place, touches = self.obstacles.first_contact(_straight, ends, length)
         else:
             arc = before, self.tau * self.agent.twist(action)
-            length = jnp.sqrt(jnp.maximum(jnp.sum(arc[1][: space.dimension] ** 2), 1e-18))
             way = partial(along_arc, space)
-            place, touches = self.obstacles.first_contact(way, arc, length)
+            place, touches = self.obstacles.first_contact(way, arc, _length(space, arc[1]))
         return space.placed(after, jnp.where(touches, place, ends[1])), touches
+
+    def kept_off(self, pose: Pose, action: Action) -> Action:
+        """The action, shortened so that the agent keeps its distance from obstacles, if it has one to keep."""
+        if self.obstacles is None or self.obstacles.keep_off is None:
+            return action
+        return self.shortened(pose, action, self.obstacles.keep_off)
+
+    def shortened(self, pose: Pose, action: Action, keep_off_m: Scalar | float) -> Action:
+        """The action as far as the agent stays `keep_off_m` [m] and its radius from obstacles: all axes slowed alike.
+
+        That is a part of the same arc; where hardly a step is left the agent only turns.
+        """
+        assert self.obstacles is not None, "for problems with obstacles"
+        agent, space = self.agent, self.agent.space
+        control, displacement = agent.control(action), self.tau * agent.twist(action)
+        length, radius = _length(space, displacement), self.obstacles.radius + keep_off_m
+        way = partial(along_arc, space)
+        share, touches = sight.share_free(self.obstacles.grid, way, (pose, displacement), length, radius)
+        turns = jnp.array([axis >= space.dimension for axis in agent.axes])
+        allowed = jnp.where(share > TURN_BELOW, share * control, jnp.where(turns, control, 0.0))
+        return jnp.where(touches, agent.action(allowed), jnp.clip(action, -1.0, 1.0))
+
+    def require_shortening(self) -> None:
+        """Raise InputError unless `shortened` can keep a distance: ways are arcs, and the agent can stand still."""
+        agent = self.agent
+        if self.obstacles is None:
+            raise InputError("problem.obstacles = None: expected a scenario with obstacles")
+        if agent.commands is not None:
+            raise InputError("agent.commands: expected none, as a command may have no slower one")
+        if self.bounds_agent or self.keep_off_m is not None:
+            raise InputError("region.agent: expected 'free', and no scenario.keep_off_m: the way must be the arc")
+        if not ((np.asarray(agent.lower) <= 0) & (np.asarray(agent.upper) >= 0)).all():
+            raise InputError("agent: expected limits that allow to stand still, 0 on every axis")
 
     def _ends(self, before: Pose, after: Pose) -> tuple[Point, Point]:
         return self.agent.space.position(before), self.agent.space.position(after)
@@ -166,6 +204,11 @@ class Problem(eqx.Module):
 
 def _straight(ends: tuple[Point, Point], share: Scalar) -> Point:
     return ends[0] + share * (ends[1] - ends[0])
+
+
+def _length(space: Space, displacement: Twist) -> Scalar:
+    """Length of an arc [m], with a derivative also where it is 0."""
+    return jnp.sqrt(jnp.maximum(jnp.sum(displacement[: space.dimension] ** 2), 1e-18))
 
 
 def along_arc(space: Space, arc: tuple[Pose, Twist], share: Scalar) -> Point:

@@ -1,20 +1,14 @@
 """A safety filter: any policy, slowed down so that the robot keeps its distance from obstacles."""
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from foveate.errors import InputError
-from foveate.geometry import sight
-from foveate.models.problem import Problem, along_arc
+from foveate.models.problem import Problem
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
-
-TURN_BELOW = 0.05
-"""A robot that may do less than this share of its step turns on the spot as it was told to, and does not move."""
 
 
 class KeepOff(Policy):
@@ -34,18 +28,9 @@ class KeepOff(Policy):
     keep_off_m: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        agent, is_straight = self.problem.agent, self.problem.bounds_agent or self.problem.keep_off_m is not None
-        if self.problem.obstacles is None:
-            raise InputError("problem.obstacles = None: expected a scenario with obstacles")
+        self.problem.require_shortening()
         if not self.keep_off_m >= 0:
             raise InputError(f"keep_off_m = {self.keep_off_m}: expected >= 0")
-        if agent.commands is not None:
-            raise InputError("agent.commands: expected none, as a command may have no slower one")
-        if is_straight:
-            raise InputError("region.agent: expected 'free', and no scenario.keep_off_m: the way must be the arc")
-        still = (np.asarray(agent.lower) <= 0) & (np.asarray(agent.upper) >= 0)
-        if not still.all():
-            raise InputError("agent: expected limits that allow to stand still, 0 on every axis")
 
     def start(self, observation: Observation) -> Any:
         """The memory of the policy."""
@@ -68,13 +53,4 @@ class KeepOff(Policy):
         pose, action = jnp.asarray(pose, float), jnp.asarray(action, float)
         number = None if map_number is None else jnp.asarray(map_number)
         problem = self.problem.at(jnp.asarray(step)).of_map(number)
-        agent, obstacles = problem.agent, problem.obstacles
-        assert obstacles is not None, "checked when it is made"
-        space, control = agent.space, agent.control(action)
-        displacement = problem.tau * agent.twist(action)
-        length = jnp.sqrt(jnp.maximum(jnp.sum(displacement[: space.dimension] ** 2), 1e-18))
-        way, radius = partial(along_arc, space), obstacles.radius + self.keep_off_m
-        share, touches = sight.share_free(obstacles.grid, way, (pose, displacement), length, radius)
-        turns = jnp.array([axis >= space.dimension for axis in agent.axes])
-        allowed = jnp.where(share > TURN_BELOW, share * control, jnp.where(turns, control, 0.0))
-        return jnp.where(touches, agent.action(allowed), jnp.clip(action, -1.0, 1.0))
+        return problem.shortened(pose, action, self.keep_off_m)

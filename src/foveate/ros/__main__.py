@@ -2,7 +2,7 @@
 
 import sys
 
-from foveate.ros.node import main
+from foveate.ros.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -16,9 +16,9 @@ from foveate.recordings.definitions import typestore
 from foveate.recordings.measures import PreparedReplay
 from foveate.recordings.results import ReplayResult
 from foveate.ros.markers import belief_shapes, quaternion_of, truth_shapes, view_shapes
-from foveate.ros.messages import Messages, position_of, stamp_of
-from foveate.ros.node import MOST_TOPICS, topic_name
+from foveate.ros.messages import MOST_TOPICS, Messages, position_of, stamp_of, topic_name
 from foveate.ros.records import AXES, Detections, Estimate, Odometry
+from foveate.ros.walls import own_cells
 from foveate.simulation.records import Trace
 
 WORLD, BODY = "map", "base_link"
@@ -49,7 +49,7 @@ def write_bag(result: ReplayResult, path: Path) -> str:
 
 
 def write_replay(ready: PreparedReplay, trace: Trace, path: Path, clock_origin_s: int = 0) -> None:
-    """Write one method's replay: odom, tf, cmd_vel, detections, targets, beliefs/target_ID and beliefs/markers.
+    """Write one method's replay: odom, tf, cmd_vel, detections, targets, beliefs/target_ID, beliefs/markers and walls.
 
     Times are those of the recording's clock, frames `map` and `base_link`. Raises InputError without rosbags.
     """
@@ -86,6 +86,9 @@ def _published(
     # The information matrix of an absent target may be singular.
     information = np.where(np.asarray(trace.present)[..., None, None], trace.information, np.eye(means.shape[-1]))
     covariance = np.linalg.inv(information)
+    if (cells := own_cells(problem)) is not None:
+        first_s = float(slots.times_s[0]) + clock_origin_s
+        yield first_s, Published("/walls", make.occupancy(make.header(first_s, WORLD), cells))
     for k, time in enumerate(slots.times_s):
         time_s = float(time) + clock_origin_s
         odometry, header = _odometry(time_s, poses[k]), make.header(time_s, WORLD)

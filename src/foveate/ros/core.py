@@ -15,6 +15,7 @@ from foveate.deploy import kalman
 from foveate.deploy.belief import Belief
 from foveate.deploy.motion import Matrices, motion_over
 from foveate.deploy.tracker import Tracker
+from foveate.deploy.tracks import Seen
 from foveate.errors import InputError
 from foveate.io.settings import Settings
 from foveate.io.validate import at_least, positive, require
@@ -22,10 +23,11 @@ from foveate.names import GATE
 from foveate.ros.model import RobotModel
 from foveate.ros.poses import PoseHistory, heading, matrix_of
 from foveate.ros.records import AXES, Decision, Detections, Estimate, Map, Odometry
-from foveate.ros.walls import Walls, walls_of
+from foveate.ros.walls import Walls, own_cells, walls_of
 
 STOP = (0.0,) * len(AXES)
 Beliefs = tuple[kalman.Means, kalman.Covariances]
+WorldPositions = dict[str, Float[np.ndarray, " d"]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +78,7 @@ class Core:
         self._mount = mount
         self._columns = [AXES.index(axis) for axis in model.axes]
         self._walls: Walls | None = None
+        self._own_cells = own_cells(problem)
         self._next_map: Map | None = None
         self._forget()
 
@@ -101,6 +104,12 @@ class Core:
     def child(self) -> str:
         """Body frame: that of the odometry."""
         return self._child
+
+    @property
+    def map(self) -> Map | None:
+        """The walls that it decides by, in the frame of the odometry: of the last map, or of the policy's scenario."""
+        cells = self._own_cells if self._walls is None else self._walls.cells
+        return Map(self._frame, cells) if self._frame and cells is not None else None
 
     def on_odometry(self, message: Odometry) -> str | None:
         """Take the robot's pose. A clock that goes back, as that of a bag that begins again, forgets everything."""
@@ -155,15 +164,19 @@ class Core:
         d = self.model.scenario.dimension
         positions = {name: (to_world @ [*xyz, 1.0])[:d] for name, xyz in message.positions.items()}
         finite = {name: p for name, p in positions.items() if np.isfinite(p).all()}
-        seen: dict[Hashable, np.ndarray] = {name: self._measured @ p for name, p in finite.items()}
-        before, here = self._tracker.too_late, pose if d == 3 else heading(pose)
-        if not self._has_clock:  # the first to come need not be the first that was measured
-            self._tracker.update(here, {}, time_s=at_s - lag_s)
-            self._has_clock = True
-        self._tracker.update(here, seen, time_s=at_s)
-        if self._tracker.too_late > before:
+        if self._work_in(pose, finite, at_s) is None:
             return f"detections: {now_s - at_s:.3g} s old, older than lag_s = {lag_s:g} s; they are left out"
         return None
+
+    def _work_in(self, pose: Float[np.ndarray, "4 4"], positions: WorldPositions, at_s: float) -> Seen | None:
+        """Correct the beliefs by positions that were measured from a pose at a time; None where that is too late."""
+        seen: dict[Hashable, np.ndarray] = {name: self._measured @ p for name, p in positions.items()}
+        before, here = self._tracker.too_late, pose if self.model.scenario.dimension == 3 else heading(pose)
+        if not self._has_clock:  # the first to come need not be the first that was measured
+            self._tracker.update(here, {}, time_s=at_s - self.settings.lag_s)
+            self._has_clock = True
+        found = self._tracker.update(here, seen, time_s=at_s)
+        return None if self._tracker.too_late > before else found
 
     def _to_world(self, frame: str, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
         frame = (self.settings.detections_frame or frame).strip("/")

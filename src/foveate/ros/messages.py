@@ -3,6 +3,7 @@
 `find` returns the class of a name as "geometry_msgs/msg/Twist". Every field is given: rosbags has no defaults.
 """
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +20,8 @@ from foveate.ros.records import Detections, Estimate, Map, Odometry, Position, Q
 
 MAX_TURN = 1e-4
 """Largest part of a map's quaternion that is rounding."""
+MOST_TOPICS = 100
+"""Targets with a topic of their own; the markers show all."""
 KINDS = {"ellipsoid": "SPHERE", "text": "TEXT_VIEW_FACING", "line": "LINE_STRIP"}
 
 
@@ -81,6 +84,15 @@ def map_of(message: Any) -> Map:
     return Map(message.header.frame_id, OccupancyGrid(occupied, np.array([origin.x, origin.y]), float(info.resolution)))
 
 
+def topic_name(target: str) -> str:
+    """Name of a target's topic: ROS allows letters, digits and single underscores."""
+    return "target_" + (re.sub(r"[^A-Za-z0-9]+", "_", target).strip("_") or "x")
+
+
+OCCUPIED = 100
+"""Per cent of an occupied cell in a nav_msgs/OccupancyGrid."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Messages:
     """Makes messages of the classes that `find` knows."""
@@ -89,6 +101,10 @@ class Messages:
 
     def _make(self, package: str, name: str, **fields: Any) -> Any:
         return self.find(f"{package}/msg/{name}")(**fields)
+
+    def text(self, content: str) -> Any:
+        """A text."""
+        return self._make("std_msgs", "String", data=content)
 
     def header(self, time_s: float, frame: str) -> Any:
         """Header of a time and a frame."""
@@ -148,6 +164,17 @@ class Messages:
             pose=self._make("geometry_msgs", "PoseWithCovariance", pose=pose, covariance=nothing),
             twist=self._make("geometry_msgs", "TwistWithCovariance", twist=self.twist(twist), covariance=nothing),
         )  # fmt: skip
+
+    def occupancy(self, header: Any, grid: OccupancyGrid) -> Any:
+        """OccupancyGrid in the plane z = 0, of cells that are free or occupied."""
+        width, height = grid.occupied.shape
+        origin = self.pose((float(grid.low[0]), float(grid.low[1]), 0.0))
+        info = self._make(
+            "nav_msgs", "MapMetaData",
+            map_load_time=header.stamp, resolution=grid.cell_m, width=width, height=height, origin=origin,
+        )  # fmt: skip
+        cells = OCCUPIED * grid.occupied.T.astype(np.int8).ravel()
+        return self._make("nav_msgs", "OccupancyGrid", header=header, info=info, data=cells)
 
     def transform(self, record: Odometry) -> Any:
         """Message for /tf of the body in the world."""

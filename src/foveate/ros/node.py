@@ -3,9 +3,6 @@
 `Driver` uses what rclpy's `Node` offers, and imports nothing of ROS itself.
 """
 
-import re
-import signal
-import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
@@ -13,24 +10,18 @@ from typing import Any
 import numpy as np
 
 from foveate.errors import InputError
-from foveate.io.jax_settings import keep_compiled
 from foveate.names import GATE
+from foveate.ros import messages
 from foveate.ros.core import STOP, Core, CoreSettings
 from foveate.ros.markers import belief_shapes, view_shapes
-from foveate.ros.messages import Messages, detections_of_array, detections_of_vision, map_of, odometry_of
+from foveate.ros.messages import MOST_TOPICS, Messages
 from foveate.ros.model import load_model
 from foveate.ros.records import Decision, Detections
+from foveate.ros.team import TeamCore
 
-NODE = "foveate"
-MOST_TOPICS = 100
-"""Targets with a topic of their own; the markers show all."""
+TEAM = "/team"
 SILENT_S = 5.0
 """Least time between two lines of the log about the same thing."""
-HELP = """usage: python -m foveate.ros RUN|PRESET|FILE.onnx [--ros-args -p NAME:=VALUE -r TOPIC:=TOPIC ..]
-
-Drive a robot with a trained policy: nav_msgs/Odometry on odom and detections in (geometry_msgs/PoseArray on poses, or
-vision_msgs/Detection3DArray on detections), geometry_msgs/Twist on cmd_vel and the beliefs out. docs/ros.md has all
-topics and parameters."""
 
 
 class Driver:
@@ -60,15 +51,18 @@ class Driver:
             raise InputError(f"sensor_pose = {list(mount)}: expected x, y, z, qx, qy, qz, qw")
         gate = gate if gate < 1.0 else None
         settings = CoreSettings(**values, sensor_pose=mount, gate=gate, needs_map=map_topic != "")
-        self.core = Core(load_model(policy), settings)
+        robot, model = str(self._parameter("robot", "")), load_model(policy)
+        self.core = TeamCore(model, settings, robot) if robot else Core(model, settings)
         obstacles = self.core.model.scenario.obstacles
         if obstacles is not None and obstacles.map_counts != (1, 0) and not map_topic:
             right = "expected the topic of the robot's map: the policy was trained among random ones"
             raise InputError(f"map_topic = '': {right}")
         self._dimension = self.core.model.scenario.dimension
         self._connect(sensor_qos)
+        grid, self._shown = find("nav_msgs/msg/OccupancyGrid"), None
+        self._walls = self._node.create_publisher(grid, "walls", map_qos)
         if map_topic:
-            self._node.create_subscription(find("nav_msgs/msg/OccupancyGrid"), map_topic, self._on_map, map_qos)
+            self._node.create_subscription(grid, map_topic, self._on_map, map_qos)
         self._start()
 
     def _parameter(self, name: str, default: Any) -> Any:
@@ -80,6 +74,11 @@ class Driver:
         self._commands = node.create_publisher(find(twist), "cmd_vel", 1)
         self._markers = node.create_publisher(find("visualization_msgs/msg/MarkerArray"), "beliefs/markers", 1)
         self._beliefs: dict[str, Any] = {}
+        self._team: Any = None
+        if isinstance(self.core, TeamCore):
+            kind = find("std_msgs/msg/String")
+            self._team = node.create_publisher(kind, TEAM, 10)
+            node.create_subscription(kind, TEAM, self._on_team, 10)
         node.create_subscription(find("nav_msgs/msg/Odometry"), "odom", self._on_odometry, sensor_qos)
         node.create_subscription(find("geometry_msgs/msg/PoseArray"), "poses", self._on_poses, sensor_qos)
         try:
@@ -107,20 +106,35 @@ class Driver:
         return 1e-9 * self._node.get_clock().now().nanoseconds
 
     def _on_odometry(self, message: Any) -> None:
-        self._complain(self.core.on_odometry(odometry_of(message)))
+        self._complain(self.core.on_odometry(messages.odometry_of(message)))
+        self._show_walls()
 
     def _on_map(self, message: Any) -> None:
         self.stop()  # it may take seconds, in which no command is sent
         try:
-            self._complain(self.core.on_map(map_of(message)))
+            self._complain(self.core.on_map(messages.map_of(message)))
         except InputError as error:
             self._complain(str(error))
+        self._show_walls()
+
+    def _show_walls(self) -> None:
+        """Publish the walls where they are others than before."""
+        known, shown = self.core.map, self._shown
+        if known is None or (shown is not None and known.frame == shown.frame and known.grid is shown.grid):
+            return
+        self._shown = known
+        header = self._messages.header(self._now_s(), known.frame)
+        self._walls.publish(self._messages.occupancy(header, known.grid))
+
+    def _on_team(self, message: Any) -> None:
+        assert isinstance(self.core, TeamCore), "no other listens"
+        self._complain(self.core.on_message(message.data, self._now_s()))
 
     def _on_poses(self, message: Any) -> None:
-        self._take(detections_of_array(message))
+        self._take(messages.detections_of_array(message))
 
     def _on_vision(self, message: Any) -> None:
-        record, unnamed = detections_of_vision(message)
+        record, unnamed = messages.detections_of_vision(message)
         if unnamed:
             self._complain(f"detections: {unnamed} have no id: run a tracker first, which tells the targets apart")
         self._take(record)
@@ -150,6 +164,8 @@ class Driver:
         """Decide; the command goes out first, the beliefs after it."""
         decision = self.core.decide(self._now_s())
         self._command(decision.time_s, decision.twist)
+        if isinstance(self.core, TeamCore):
+            self._team.publish(self._messages.text(self.core.message(decision.time_s)))
         if decision.stopped:
             self._log("warning", f"stopped: {decision.stopped}")
         if decision.frame:
@@ -183,62 +199,11 @@ class Driver:
         """Publisher of a target's belief; None where there are too many."""
         if target not in self._beliefs and len(self._beliefs) < MOST_TOPICS:
             kind = self._find("geometry_msgs/msg/PoseWithCovarianceStamped")
-            self._beliefs[target] = self._node.create_publisher(kind, f"beliefs/{topic_name(target)}", 1)
+            self._beliefs[target] = self._node.create_publisher(kind, f"beliefs/{messages.topic_name(target)}", 1)
         return self._beliefs.get(target)
-
-
-def topic_name(target: str) -> str:
-    """Name of a target's topic: ROS allows letters, digits and single underscores."""
-    return "target_" + (re.sub(r"[^A-Za-z0-9]+", "_", target).strip("_") or "x")
 
 
 def find_class(name: str) -> Any:
     """Class of a message of the ROS installation, as "geometry_msgs/msg/Twist"."""
     package, kind, message = name.split("/")
     return getattr(import_module(f"{package}.{kind}"), message)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node until it is interrupted. Exit status: 0, or 2 for wrong input."""
-    given = list(sys.argv if arguments is None else ["foveate.ros", *arguments])
-    try:
-        return _run(given)
-    except InputError as error:
-        print(f"foveate.ros: {error}", file=sys.stderr)
-        return 2
-
-
-def _run(given: list[str]) -> int:
-    try:
-        rclpy, qos = import_module("rclpy"), import_module("rclpy.qos")
-        signals, utilities = import_module("rclpy.signals"), import_module("rclpy.utilities")
-    except ImportError as error:
-        raise InputError(f"rclpy, ROS 2's Python, is not found ({error}): source /opt/ros/DISTRO/setup.bash") from None
-    names = utilities.remove_ros_args(given)[1:]
-    if {"-h", "--help"} & set(names):
-        print(HELP)
-        return 0
-    if len(names) > 1:
-        raise InputError(f"{' '.join(names)}: expected one policy: a run folder, a preset or a file of foveate export")
-    keep_compiled()
-    # rclpy's own handlers would end the context before the robot is told to stand.
-    rclpy.init(args=given, signal_handler_options=signals.SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, _interrupt)
-    node = rclpy.create_node(NODE)
-    driver = None
-    try:
-        kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        driver = Driver(node, find_class, qos.qos_profile_sensor_data, *names, map_qos=kept)
-        rclpy.spin(node)
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        if driver is not None:
-            driver.stop()
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

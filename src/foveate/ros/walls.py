@@ -10,18 +10,20 @@ from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.io.occupancy import OccupancyGrid
+from foveate.models.problem import Problem
 from foveate.policies.heuristics import Still
 from foveate.policies.keep_off import KeepOff
 from foveate.ros.model import Decide, RobotModel
-from foveate.scenario.obstacle_grids import map_nodes
+from foveate.scenario.obstacle_grids import map_nodes, occupied_cells
 from foveate.scenario.obstacles import BaseObstacles
 
 
 class Walls(NamedTuple):
-    """The decisions of a policy in a map, and the filter of its commands."""
+    """The decisions of a policy in a map, the filter of its commands, and the cells that both take for walls."""
 
     decide: Decide
     keep_off: KeepOff
+    cells: OccupancyGrid
 
     def shortened(self, pose: Float[np.ndarray, "3"], command: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """The command [m/s, rad/s] as far as it is safe from a pose."""
@@ -43,10 +45,18 @@ def walls_of(model: RobotModel, grid: OccupancyGrid, radius_m: float, keep_off_m
     scenario = model.scenario
     if scenario.dimension != 2:
         raise InputError("a robot in space: expected one that drives, for a map of the plane")
-    settings = BaseObstacles(robot_radius_m=radius_m, targets="free")
-    obstacles = settings.among(map_nodes(grid), float(scenario.view.depth_m))
+    settings, nodes = BaseObstacles(robot_radius_m=radius_m, targets="free"), map_nodes(grid)
+    obstacles = settings.among(nodes, float(scenario.view.depth_m))
     problem = replace(scenario.problem(), obstacles=obstacles)
     decide = model.decide if model.in_map is None else model.in_map(obstacles)
-    walls = Walls(decide, KeepOff(Still(problem), problem, keep_off_m))
+    walls = Walls(decide, KeepOff(Still(problem), problem, keep_off_m), occupied_cells(nodes))
     walls.shortened(np.zeros(3), np.zeros(len(model.axes)))
     return walls
+
+
+def own_cells(problem: Problem) -> OccupancyGrid | None:
+    """The cells that are walls in a problem of one map of the plane; None without obstacles, and of random maps."""
+    obstacles = problem.obstacles
+    if obstacles is None or problem.agent.space.dimension != 2 or obstacles.grid.maps != 1:
+        return None
+    return occupied_cells(obstacles.grid.nodes())

@@ -47,6 +47,11 @@ def _cell_nodes(occupied: bytes, shape: tuple[int, int], low: tuple[float, ...],
     return of_cells(np.frombuffer(occupied, bool).reshape(shape), np.array(low), cell_m)
 
 
+def occupied_cells(nodes: Nodes) -> OccupancyGrid:
+    """The first map of the plane as cells about its nodes, each occupied if its node is: the inverse of `map_nodes`."""
+    return OccupancyGrid(nodes.distance[0] <= 0, nodes.low - 0.5 * nodes.cell_m, nodes.cell_m)
+
+
 def extruded(nodes: Nodes, heights_m: tuple[float, float], box: Box) -> Nodes:
     """Signed distances to obstacles of the plane that stand between two heights [m]."""
     low, high = min(heights_m[0], box[0][2]) - PAD_M, max(heights_m[1], box[1][2]) + PAD_M

@@ -28,17 +28,22 @@ class BaseObstacles(Settings):
     """What all kinds of obstacles have in common.
 
     The agent is a ball of `robot_radius_m`, which stops where it would touch. It is stopped, and lines of sight end, at
-    up to a cell before an obstacle, never behind it; so a cell should be well below the width of a door.
+    up to a cell before an obstacle, never behind it; so a cell should be well below the width of a door. With
+    `keep_off_m` every command is shortened before, by the safety filter of `foveate.KeepOff`: the agent keeps this
+    distance more, and has no contact.
     """
 
     robot_radius_m: float = 0.2
     targets: Literal["around", "free"] = "around"
     """Simulated targets slide along obstacles, and their velocity or drift is reflected there ("around"); or pass
     through them ("free")."""
+    keep_off_m: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         at_least(0, self, "robot_radius_m")
+        if self.keep_off_m is not None:
+            at_least(0, self, "keep_off_m")
 
     def nodes(self, box: Box) -> Nodes:
         """Signed distances of all maps, on grids that hold the box."""
@@ -77,6 +82,7 @@ class BaseObstacles(Settings):
             training=self.map_counts[0],
             samples=min(max(8, samples), MAX_SAMPLES),
             targets=self.targets,
+            keep_off=None if self.keep_off_m is None else jnp.asarray(self.keep_off_m, float),
         )
 
 

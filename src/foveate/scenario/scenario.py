@@ -117,8 +117,13 @@ class Scenario(Settings):
         require(not self.scenes.birth_and_death, name, value, right)
 
     def _check_obstacles(self, problem: Problem) -> None:
-        """Raise InputError unless the obstacles are for this space, and targets can go around them."""
+        """Raise InputError unless the agent can keep off obstacles, if it is to, and targets can go around them."""
         obstacles = self.obstacles
+        if obstacles is not None and obstacles.keep_off_m is not None:
+            try:
+                problem.require_shortening()
+            except InputError as error:
+                raise InputError(f"obstacles.keep_off_m: {error}") from error
         if obstacles is None or obstacles.targets == "free":
             return
         right = "expected 'free': these targets have no position at an obstacle (Z = [I 0])"

@@ -10,6 +10,11 @@ from foveate.simulation.records import Protocol
 from foveate.types import Pose
 
 
+def keep_off_obstacles(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
+    """Shorten the action, so that the agent keeps its distance from obstacles."""
+    return draft._replace(action=problem.kept_off(draft.predicted.pose, draft.action))
+
+
 def move(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     """T_{k+1} = T_k exp(tau hat(u))."""
     pose = problem.agent.move(draft.predicted.pose, draft.action, problem.tau)

@@ -30,7 +30,10 @@ Decide = Callable[[Observation, Any, Key], tuple[Action, Any, Any]]
 
 
 class Outcome(NamedTuple):
-    """Result of one step, to be recorded in part: `state` is that after it, `notes` are the decision's own."""
+    """Result of one step, to be recorded in part: `state` is that after it, `notes` are the decision's own.
+
+    `action` is that which was done: the decision's, or what a distance to obstacles has left of it.
+    """
 
     observation: Observation
     action: Action
@@ -68,7 +71,7 @@ def simulate(
         observation = observe(predicted, instant.known_input, episode.horizon, robot)
         action, memory, notes = decide(observation, memory, jax.random.fold_in(key, state.step))
         draft = step.act(problem, protocol, predicted, instant, action)
-        outcome = Outcome(observation, action, notes, draft.state, draft.measured, draft.weight)
+        outcome = Outcome(observation, draft.action, notes, draft.state, draft.measured, draft.weight)
         return (draft.state, memory), record(outcome)
 
     first = (step.start(problem, episode, protocol) if state is None else state, memory)

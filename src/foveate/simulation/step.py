@@ -19,8 +19,8 @@ from foveate.models.belief import Belief
 from foveate.models.missed_detection import condition_on_missed_detection
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import detection_weight
+from foveate.simulation import motion
 from foveate.simulation.draft import Draft, Sensed, Stage, noise_covariance, positions_body
-from foveate.simulation.motion import expect_noise, keep_off_targets, move, stop_at_border, stop_at_obstacles
 from foveate.simulation.polar import compare_polar, correct_polar, expect_polar
 from foveate.simulation.records import Episode, Instant, LastLook, Protocol, State
 from foveate.simulation.scans import begin, predict_population, scan, shown, update_population
@@ -72,17 +72,19 @@ def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stag
     has_truth, has_births = instant.truth is not None, instant.arrivals is not None
     has_gate = has_truth and protocol.gate is not None
     uses_missed_detections = has_truth and _uses_missed_detections(problem, protocol)
+    keeps_off = problem.obstacles is not None and problem.obstacles.keep_off is not None
     way = (
-        move,
-        *((stop_at_border,) if problem.bounds_agent else ()),
-        *((keep_off_targets,) if problem.keep_off_m is not None else ()),
-        *((stop_at_obstacles,) if problem.obstacles is not None else ()),
+        *((motion.keep_off_obstacles,) if keeps_off else ()),
+        motion.move,
+        *((motion.stop_at_border,) if problem.bounds_agent else ()),
+        *((motion.keep_off_targets,) if problem.keep_off_m is not None else ()),
+        *((motion.stop_at_obstacles,) if problem.obstacles is not None else ()),
     )
     if problem.detections is not None:
         return (*way, *((scan, update_population) if has_truth else ()))
     return (
         *way,
-        expect_noise if problem.sensor.polar is None else expect_polar,
+        motion.expect_noise if problem.sensor.polar is None else expect_polar,
         *((sense,) if has_truth else ()),
         *((hide,) if has_truth and problem.obstacles is not None else ()),
         *((gate_measurements,) if has_gate else ()),

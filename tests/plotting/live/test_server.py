@@ -5,6 +5,7 @@ import re
 import socket
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from helpers.episode_data import late_sightings
 
 from foveate.cli.main import main
 from foveate.plotting.episode_data import SUBSTEPS
-from foveate.plotting.live import chart, player, scene
+from foveate.plotting.live import chart, player, primitives, scene
 from foveate.plotting.live import server as view
 from foveate.scenario.scenes import Scene, write_scenes
 
@@ -78,6 +79,41 @@ def test_a_page_holds_the_episode(tmp_path, dimension):
     assert "score so far 7.00 nat per target" in last_of(played, "/chart/facts", "text")
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_page_holds_the_robots_of_a_team_and_who_has_heard_whom(tmp_path, dimension):
+    rng, d = np.random.default_rng(4), dimension
+    mates = np.array(late_sightings(d).pose)[:, None].repeat(2, axis=1)
+    where = (..., slice(2)) if d == 2 else (..., slice(3), 3)
+    mates[where] += rng.normal(0, 5.0, mates[where].shape)
+    heard = np.zeros((4, 3, 3), bool)
+    heard[3, 0, 1] = heard[3, 1, 0] = heard[3, 2, 1] = True
+    data = late_sightings(d, mates=mates, heard=heard)
+    view.record(data, tmp_path / "page.html")
+    played = messages(tmp_path / "page.html")
+    places = [data.pose[-1][where], *mates[-1][where]]
+    for i in range(2):
+        np.testing.assert_allclose(last_of(played, f"/mate/{i}", "position")[:d], places[i + 1], atol=1e-5)
+        heading = Rotation.from_quat(last_of(played, f"/mate/{i}", "wxyz"), scalar_first=True).apply([1, 0, 0])
+        yaw = mates[-1, i, 2] if d == 2 else None
+        expected = [np.cos(yaw), np.sin(yaw), 0] if d == 2 else mates[-1, i, :3, 0]
+        np.testing.assert_allclose(heading, expected, atol=1e-6)
+    canvas = MagicMock(add_line_segments=lambda name, *_, **__: drawn.setdefault(name, MagicMock()))
+    drawn = {}
+    scene.LiveScene(canvas, data).show(4 * SUBSTEPS)
+    lines = drawn["/mates/heard"].points[..., :d]
+    np.testing.assert_allclose(lines[0], [places[0], places[1]], atol=1e-5)
+    dashes = lines[1:]
+    np.testing.assert_allclose([dashes[0, 0], dashes[-1, 1]], [places[1], places[2]], atol=1e-5)
+    # Dashes and gaps take turns: the dashes are a little more than half of the way.
+    length = np.linalg.norm(np.diff(dashes, axis=1), axis=-1).sum()
+    assert length / np.linalg.norm(places[2] - places[1]) == pytest.approx(
+        len(dashes) / (2 * len(dashes) - 1), rel=1e-4
+    )
+    assert "messages heard 3 of 6" in last_of(played, "/chart/facts", "text")
+    assert chart.facts(data, 0)["messages heard"].startswith("0 of 6")
+    assert "messages heard" not in chart.facts(late_sightings(d), 6)
+
+
 SCRIPTS = "</script><script>document.title='ran'</script><img src=x onerror=document.title='ran'>"
 
 
@@ -122,13 +158,13 @@ def test_meshes():
         a, b, c = mesh[0][mesh[1]].swapaxes(0, 1)
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum()
 
-    assert area(scene.view_mesh(late_sightings())) == pytest.approx(6.0)
-    assert area(scene.view_mesh(late_sightings(3))) == pytest.approx(4.0)
-    assert area(scene.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
-    assert area(scene.ball()) == pytest.approx(4 * np.pi, rel=0.02)
+    assert area(primitives.view_mesh(late_sightings())) == pytest.approx(6.0)
+    assert area(primitives.view_mesh(late_sightings(3))) == pytest.approx(4.0)
+    assert area(primitives.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
+    assert area(primitives.ball()) == pytest.approx(4 * np.pi, rel=0.02)
     angle = np.linspace(-2.0, 2.0, 65)  # a sector of more than half a turn, from its apex
     sector = np.concatenate([[[0, 0]], np.column_stack([np.cos(angle), np.sin(angle)]), [[0, 0]]])
-    assert area(scene.fan(sector)) == pytest.approx(2.0, rel=1e-3)
+    assert area(primitives.fan(sector)) == pytest.approx(2.0, rel=1e-3)
 
 
 def test_bad_input_is_one_line(capsys, tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from foveate.io.figures import BLACK, GREY
 from foveate.plotting.episode_data import SUBSTEPS, EpisodeData, axis_range
-from foveate.plotting.live.scene import add_line, segments, set_segments
+from foveate.plotting.live.primitives import add_line, segments, set_segments
 
 LEGEND = (
     "beliefs (95 %): green, thick: detected, or a confirmed track; orange, thin: not; black: true targets; purple: "
@@ -34,7 +34,10 @@ def curves(data: EpisodeData) -> Float[np.ndarray, "steps curves"]:
 
 
 def facts(data: EpisodeData, moment: int) -> dict[str, str]:
-    """Time, step, score so far, targets detected, share of time in view, and, where all stay, targets ever detected."""
+    """Time, step, score so far, targets detected, share of time in view, and, where all stay, targets ever detected.
+
+    Of a team also the messages that have arrived in the last step.
+    """
     k = moment // SUBSTEPS
     score = data.mean_log_det[k - 1] if k else np.nan
     tracks = data.tracks
@@ -52,6 +55,9 @@ def facts(data: EpisodeData, moment: int) -> dict[str, str]:
     # Where targets come and go, several may share a column: their number would not be that of targets.
     elif data.present.all():
         values["ever detected"] = f"{data.visible[:k].any(axis=0).sum()} of {data.targets}"
+    if data.heard is not None:
+        robots, heard = data.heard.shape[1], data.heard[k - 1].sum() if k else 0
+        values["messages heard"] = f"{heard} of {robots * (robots - 1)} (grey lines; dashed: one way)"
     return values
 
 
@@ -88,4 +94,5 @@ class SceneChart:
         set_segments(self._mean, lines[:1])
         set_segments(self._each, lines[1:])
         values = facts(self._data, moment)
-        self._label.text = " · ".join(f"{name} {values[name]}" for name in ("time", "score so far", "detected now"))
+        names = ("time", "score so far", "detected now", "messages heard")
+        self._label.text = " · ".join(f"{name} {values[name]}" for name in names if name in values)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from foveate.models.belief import Belief
-from foveate.models.fusion import Evidence, evidence_of
+from foveate.models.fusion import Evidence, evidence_of, linear_pull
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.simulation import step
@@ -74,8 +74,14 @@ def first_poses(episode: Episode) -> Float[Array, "M ..."]:
 
 
 def predict(problem: Problem, state: TeamState, known_input: Float[Array, "n m_y"]) -> State:
-    """Every robot's beliefs, predicted one step ahead."""
-    return jax.vmap(step.predict, (None, 0, None))(problem, state.robots, known_input)
+    """Every robot's beliefs, predicted one step ahead: once for all where every message arrives at once."""
+    assert problem.team is not None, "of a team's problems"
+    robots = state.robots
+    if problem.team.radio.kind != "perfect":
+        return jax.vmap(step.predict, (None, 0, None))(problem, robots, known_input)
+    one = step.predict(problem, jax.tree.map(lambda x: x[0], robots), known_input)
+    beliefs = (jnp.broadcast_to(x, (len(robots.pose), *x.shape)) for x in (one.mean, one.information))
+    return _with_beliefs(state, Beliefs(*beliefs)).robots
 
 
 def observations(
@@ -199,10 +205,15 @@ def _evidence(problem: Problem, draft: Draft, reference: Float[Array, "n n_y"]) 
     gain = jax.vmap(problem.sensor.information)(draft.covariance) if draft.gain is None else draft.gain
     taken = jnp.where(measured[:, None, None], gain, 0.0)
     weighed = weight[..., None, None] * gain
-    growth = jnp.where(weight[..., None, None] > 0, weighed, 0.0)
+    growth = jnp.moveaxis(jnp.where(weight[..., None, None] > 0, weighed, 0.0), 0, 1)
+    if problem.sensor.polar is None and draft.sensed is not None:
+        # Not from the corrected mean: a team that exchanges at once needs no correction by each robot.
+        pull = jax.vmap(linear_pull, (None, 0, 0, 0))(
+            problem.sensor.H, draft.covariance, draft.sensed.measurement, reference
+        )
+        return Evidence(taken, jnp.where(measured[:, None], pull, 0.0), growth)
 
     def of(mean, information, gain, growth, corrected, reference):
         return evidence_of(Belief(mean, information), gain, growth, corrected, reference)
 
-    each = jax.vmap(of, (0, 0, 0, 1, 0, 0))
-    return each(before.mean, before.information[-1], taken, growth, corrected, reference)
+    return jax.vmap(of)(before.mean, before.information[-1], taken, growth, corrected, reference)
