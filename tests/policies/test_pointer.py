@@ -252,9 +252,9 @@ def test_the_window_is_for_the_open_and_targets_with_ids():
     with pytest.raises(InputError, match="window = True: expected false with rays"):
         PointerSettings(kind="pointer", window=True, rays=8)
     detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
+    problem = Scenario(detections=detections, scenes=SceneSettings(known_drift=False)).problem()
     with pytest.raises(InputError, match=r"policy.window = True: expected false with detections without ids"):
-        scenario = Scenario(detections=detections, scenes=SceneSettings(known_drift=False))
-        replace(SMALL, window=True).policy(scenario.problem(), KEY)
+        replace(SMALL, window=True).policy(problem, KEY)
 
 
 def test_the_window_in_an_episode_with_a_schedule():
