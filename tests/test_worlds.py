@@ -29,6 +29,7 @@ WANTED = {
     *("rest-200", "set-tracking", "commands-12", "fast-drone", "slow-robot", "crowd-20", "long-1000"),
     *("team-tracking", "team-lossy", "regions"),
     *("rooms", "circles", "streets", "forest"),
+    *(f"discover-{kind}" for kind in ("sparse", "dense", "births", "clutter", "misses", "space")),
 }
 
 

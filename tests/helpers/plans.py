@@ -10,9 +10,9 @@ from foveate.models.agent import Agent
 from foveate.models.problem import Problem
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
-from foveate.planning.information import Future
 from foveate.planning.shooting import PlanSettings
 from foveate.scenario.scenes import Scene
+from foveate.simulation.information import Future
 
 PROBLEM = PRESETS["paper"].scenario.problem()
 

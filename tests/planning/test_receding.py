@@ -11,9 +11,10 @@ from helpers.plans import FEW, PROBLEM, TWO
 
 from foveate.evaluation.evaluate import evaluate_traces, prepare
 from foveate.experiment.presets import PRESETS
-from foveate.planning.receding import Receding, believed_future
+from foveate.planning.receding import Receding
 from foveate.planning.shooting import PAPER, plan
 from foveate.planning.tours import straight_ahead
+from foveate.simulation.information import believed_future
 from foveate.simulation.records import SURROGATE, TRUE, Observation, Policy
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from helpers.plans import FEW, PROBLEM, future_of
 
-from foveate.planning.information import score
 from foveate.planning.shooting import Plan, PlanSettings, ascend, better, level_at, plan
 from foveate.planning.tours import straight_ahead
+from foveate.simulation.information import score
 
 
 @pytest.mark.slow

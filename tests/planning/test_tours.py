@@ -7,8 +7,8 @@ from helpers.plans import PROBLEM, SPATIAL, future_of
 
 from foveate.geometry.fov import ball
 from foveate.geometry.fov_spatial import prism
-from foveate.planning.information import final_log_det
 from foveate.planning.tours import best_range, tours
+from foveate.simulation.information import final_log_det
 
 
 def test_best_range_is_the_deepest_point_ahead():

@@ -10,13 +10,13 @@ import pytest
 
 from foveate.evaluation.evaluate import prepare
 from foveate.models.sensor import PAPER_SOFTNESS
-from foveate.planning.information import Future, final_log_det
 from foveate.planning.named import heuristic_policy
 from foveate.planning.receding import FixedActions, Receding
 from foveate.planning.shooting import PlanSettings
 from foveate.scenario.random_obstacles import CircleObstacles
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
+from foveate.simulation.information import Future, final_log_det
 from foveate.simulation.records import SURROGATE, TRUE
 from foveate.simulation.rollout import log_dets, rollout
 from foveate.simulation.step import predict, start

@@ -10,11 +10,19 @@ import pytest
 from helpers.observations import SCENARIOS, moved, scene, seen
 from scipy.special import softmax
 
+from foveate.errors import InputError
+from foveate.planning.named import heuristic_policy
 from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
 from foveate.policies.steering import steer
+from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import ScheduleSettings
 from foveate.scenario.target import LinearTarget
+from foveate.simulation.episodes import training_episode
+from foveate.simulation.records import TRUE
+from foveate.simulation.rollout import rollout
 
 KEY = jax.random.key(0)
 SMALL = PointerSettings(
@@ -225,3 +233,45 @@ def test_wrong_settings():
     still = replace(Scenario().scenes, drift_m_s=(0.0, 0.0))
     with pytest.raises(ValueError, match="begins with the position"):
         SMALL.policy(replace(Scenario(), target=target, scenes=still).problem(), KEY)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_with_the_window_it_can_be_that_heuristic(name):
+    """Which has tests of its own, and stands still without a target; the network's corrections are 0 here."""
+    problem = SCENARIOS[name].problem()
+    policy = replace(SMALL, window=True).policy(problem, KEY)
+    policy = eqx.tree_at(lambda x: (x.window, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer)))
+    window = heuristic_policy("window", problem, float(problem.sensor.view.extent.ahead_m))
+    decides = eqx.filter_jit(lambda observation: window(observation, (), KEY)[0])
+    for seed in range(3):
+        observation = seen(SCENARIOS[name], *scene(SCENARIOS[name].dimension, TARGETS, seed))
+        np.testing.assert_allclose(decide(policy, observation), decides(observation), atol=1e-9)
+
+
+def test_the_window_is_for_the_open_and_targets_with_ids():
+    with pytest.raises(InputError, match="window = True: expected false with rays"):
+        PointerSettings(kind="pointer", window=True, rays=8)
+    detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
+    problem = Scenario(detections=detections, scenes=SceneSettings(known_drift=False)).problem()
+    with pytest.raises(InputError, match=r"policy.window = True: expected false with detections without ids"):
+        replace(SMALL, window=True).policy(problem, KEY)
+
+
+def test_the_window_in_an_episode_with_a_schedule():
+    """The policy that is the heuristic acts as it does, from step to step."""
+    scenario = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5)), scenes=SceneSettings(steps=4))
+    problem, key = scenario.problem(), jax.random.key(2)
+    policy = replace(SMALL, window=True).policy(problem, KEY)
+    policy = eqx.tree_at(lambda x: (x.window, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer)))
+    heuristic = heuristic_policy("window", problem, float(scenario.view.depth_m))
+
+    @jax.jit
+    def actions(key):
+        episode = training_episode(problem, scenario.scenes, key, noise=True)
+        return [rollout(problem, each, episode, TRUE, key).action for each in (policy, heuristic)]
+
+    np.testing.assert_allclose(*actions(key), atol=1e-9)
+
+
+def zero(layer):
+    return jax.tree.map(jnp.zeros_like, layer)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from helpers.episodes import training_episode
 
-from foveate.planning.information import Future, final_log_det
 from foveate.planning.receding import FixedActions
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.target import VelocityTarget
+from foveate.simulation.information import Future, final_log_det
 from foveate.simulation.planar_in_space import embedded_episode, embedded_problem
 from foveate.simulation.records import SURROGATE, TRUE, Arrivals
 from foveate.simulation.rollout import rollout

@@ -11,12 +11,12 @@ from foveate.evaluation.evaluate import Row, episode_rows, evaluate_traces, poli
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.resolve import load
 from foveate.models.problem import first_information
-from foveate.planning.information import Future
 from foveate.planning.shooting import OMNISCIENT, plan
 from foveate.policies.inputs import masked_features
 from foveate.simulation.batch import Batch, CompiledEnvironments
 from foveate.simulation.environment import Environment
 from foveate.simulation.episodes import training_episode
+from foveate.simulation.information import Future
 from foveate.simulation.records import PROTOCOLS, SURROGATE, Episode, Observation
 from foveate.simulation.rollout import rollout
 from foveate.simulation.suites import own_suite, scene_episodes

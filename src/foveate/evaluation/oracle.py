@@ -29,9 +29,9 @@ from foveate.models import belief
 from foveate.models.belief import entropy
 from foveate.models.problem import Problem, first_information
 from foveate.models.sensor import Softness
-from foveate.planning.information import Future, score
 from foveate.planning.receding import FixedActions
 from foveate.planning.shooting import OMNISCIENT, PlanSettings, plan
+from foveate.simulation.information import Future, score
 from foveate.simulation.records import PROTOCOLS, Episode, Protocol
 from foveate.simulation.rollout import rollout
 

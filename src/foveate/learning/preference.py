@@ -17,9 +17,15 @@ They lead from the most uncertain target to the nearest.
 """
 
 
+WINDOW_LOG_WEIGHT = 2.0
+"""First log weight of the dynamic window, relative to the best target, where that heuristic does best."""
+
+
 def best_preference(policy: PointerPolicy, score_of: Callable[[Policy], jax.Array]) -> PointerPolicy:
-    """The untrained policy with the preference of the highest score."""
+    """The untrained policy with the preference of the highest score: among targets, or for the dynamic window."""
     first = policy.preference  # in a team with a third number, which stays
     candidates = [replace(policy, preference=first.at[:2].set(jnp.array(each))) for each in PREFERENCES]
+    if policy.window is not None:
+        candidates.append(replace(policy, window=jnp.full_like(policy.window, WINDOW_LOG_WEIGHT)))
     scores = from_first_process(*(float(score_of(each)) for each in candidates))
     return candidates[scores.index(max(scores))]

@@ -7,12 +7,12 @@ from foveate.errors import InputError
 from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import HEURISTICS, SEARCHERS, Assignment
-from foveate.planning.window import DynamicWindow
 from foveate.policies.assigned import Assigned
 from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
 from foveate.policies.lookahead import LookAhead
 from foveate.policies.rules import Post, Price
 from foveate.policies.search import Alternate, Explore
+from foveate.policies.window import DynamicWindow
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Policy
 

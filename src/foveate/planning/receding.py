@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness
-from foveate.planning.information import Future
 from foveate.planning.shooting import PlanSettings, plan
 from foveate.planning.tours import straight_ahead
+from foveate.simulation.information import believed_future
 from foveate.simulation.records import Episode, Instant, Observation, Policy, Protocol, State
 from foveate.simulation.rollout import decider, simulate
 from foveate.simulation.step import act
@@ -113,17 +113,3 @@ class Receding(Policy):
         rest = (future, protocol, key, lambda done: done.action)
         later = simulate(problem, decider(policy), *rest, memory=memory, state=after)
         return jnp.concatenate([action[None], later]), memory
-
-
-def believed_future(
-    problem: Problem, observation: Observation, mean_input: Float[Array, "n m_y"], window: int, horizon: Count
-) -> Future:
-    """Predicted future of targets that move without noise, with `mean_input` at every later step."""
-
-    def advance(state, _):
-        return problem.motion.advance(state, mean_input), state
-
-    states = jax.lax.scan(advance, observation.mean, None, window)[1]
-    steps = jnp.minimum(horizon, window)
-    beliefs = observation.information, observation.present
-    return Future(observation.pose, states, *beliefs, steps, map_number=observation.map_number)

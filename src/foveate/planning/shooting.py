@@ -18,8 +18,8 @@ from foveate.io.settings import Settings
 from foveate.io.validate import positive, require
 from foveate.models.problem import Problem
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
-from foveate.planning.information import Future, score
 from foveate.planning.tours import straight_ahead, tours
+from foveate.simulation.information import Future, score
 from foveate.types import Key, Scalar
 
 CHECK_EVERY = 10

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from foveate.geometry.fov import FieldOfView
 from foveate.geometry.fov_spatial import Prism
 from foveate.models.problem import Problem
-from foveate.planning.information import Future
 from foveate.policies.detour import steer_to
+from foveate.simulation.information import Future
 from foveate.types import Key, Scalar
 
 MAX_START_ACTION = 0.9

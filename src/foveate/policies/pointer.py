@@ -24,6 +24,7 @@ from foveate.names import Objective
 from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
 from foveate.policies.places import with_places
 from foveate.policies.tokens import Tokens, token_size, tokens_of, untold
+from foveate.policies.window import told_window
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
 
@@ -76,6 +77,9 @@ class PointerSettings(Settings):
     rays: int = 0
     """Number of rays along which it is told free ranges. With any it is also told the ways around obstacles, and aims
     along them; 0: it knows of no obstacles."""
+    window: bool = False
+    """Proposes the command of the heuristic `window`, too, and is told what that expects of steering to each target: a
+    training then begins no lower than `window`, and takes about twice as long."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,6 +89,7 @@ class PointerSettings(Settings):
         for name in ("heads", "modes", "mode_width"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         require(0 <= self.rays <= MAX_RAYS, "rays", self.rays, f"expected 0 to {MAX_RAYS}")
+        require(not (self.window and self.rays), "window", self.window, "expected false with rays")
 
     def policy(
         self,
@@ -98,20 +103,24 @@ class PointerSettings(Settings):
         `others` are further objectives of its training, as in worlds of random robots.
         """
         searches = problem.detections is not None
+        right = "expected false with detections without ids"
+        require(not (self.window and searches), "policy.window", self.window, right)
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (token_size(problem, self.rays), *self.target_widths),
+            (token_size(problem, self.rays, self.window), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
             (embedding, self.mode_width),
             (context, self.mode_width),
             (self.mode_width, self.modes * (1 + axes)),
-            (context, 1 + axes),
+            (context, (1 + self.window) * (1 + axes)),
         )
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
-        weight = jnp.where(untold(problem, (objective, *others), tells_time, self.rays), 0.0, target[0].weight)
+        weight = jnp.where(
+            untold(problem, (objective, *others), tells_time, self.rays, self.window), 0.0, target[0].weight
+        )
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
         mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
@@ -120,7 +129,8 @@ class PointerSettings(Settings):
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
         told = objective, tells_time, tells_team, self.rays, searches
-        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told)
+        window = jnp.full(1, FREE_LOG_WEIGHT) if self.window else None
+        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window=window)
 
 
 class SetEncoder(eqx.Module):
@@ -163,6 +173,7 @@ class PointerPolicy(Policy):
     tells_team: bool = eqx.field(static=True, default=False)
     rays: int = eqx.field(static=True, default=0)
     searches: bool = eqx.field(static=True, default=False)
+    window: Float[Array, " 1"] | None = None
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
@@ -186,14 +197,15 @@ class PointerPolicy(Policy):
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
         if not self.searches:
-            return tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
+            tokens = tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
+            return tokens if self.window is None else told_window(tokens, observation, self.tells_time)
         searched = with_places(observation)
         told = self.objective, self.tells_time, self.tells_team, self.rays
         # All the way, as the look-ahead goes: there may be nothing to keep in view.
         return searched.told(tokens_of(searched.observation, *told, standoff=0.0))
 
     def modes(self, tokens: Tokens) -> Modes:
-        """The mixture of n per_target + 1 modes; those of padding have no weight."""
+        """The mixture of n per_target + 1 modes, or one more with the window; those of padding have no weight."""
         targets, context = self.encoder(tokens)
         context = apply_relu(self.context_layers, context)
         # A layer on [target, context] is the sum of one on each: that of the context is computed once.
@@ -212,10 +224,15 @@ class PointerPolicy(Policy):
         # Corrections in units of the view, added after the law's own limits so that none is lost at them.
         aimed = tokens.aim + LARGEST_CORRECTION * jnp.tanh(numbers[:, 0, 1:] * tokens.unit)
         actuated = tokens.unit > 0
-        free, rest = (jnp.where(actuated, jnp.tanh(x), 0.0) for x in (numbers[:, 1:, 1:], idle[None, 1:]))
+        free, rest = (jnp.where(actuated, jnp.tanh(x), 0.0) for x in (numbers[:, 1:, 1:], idle[None, 1 : 1 + axes]))
         action = jnp.concatenate([aimed[:, None], free], axis=1).reshape(log_weight.size, axes)
         log_weights = jnp.append(log_weight.ravel(), idle[0] + FREE_LOG_WEIGHT)
-        return Modes(log_weights, jnp.concatenate([action, rest]))
+        modes = Modes(log_weights, jnp.concatenate([action, rest]))
+        if self.window is None or tokens.window is None:
+            return modes
+        weight, correction = idle[1 + axes] + self.window[0], idle[2 + axes :]
+        proposed = tokens.window + LARGEST_CORRECTION * jnp.tanh(correction * tokens.unit)
+        return Modes(jnp.append(modes.log_weight, weight), jnp.concatenate([modes.action, proposed[None]]))
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """Deterministic: the action of the mode with the largest weight."""

@@ -39,13 +39,17 @@ TIMES_LEFT = (3.0, 10.0, 40.0)
 SEARCH_FEATURES = 3
 """Further features where detections have no ids (`policies.places`)."""
 
+WINDOW_FEATURES = 2
+"""Further features of a network that is told the dynamic window (`policies.window`)."""
+
 
 class Tokens(NamedTuple):
     """Features of each target, the steering law's action towards it, and the measures of the heuristics.
 
     `urgency` are log det of the information [nat], and the steps until the target is in view, on which the first
     preference among targets is based, in a team also 1 for targets of others; `unit` is one view in each axis's action
-    (`view_units`). Actions have a number for every axis of the twist, 0 for those that the robot lacks.
+    (`view_units`). Actions have a number for every axis of the twist, 0 for those that the robot lacks. `window` is the
+    dynamic window's action, for networks that are told it.
     """
 
     features: Float[Array, "n features"]
@@ -53,6 +57,7 @@ class Tokens(NamedTuple):
     urgency: Float[Array, "n measures"]
     unit: Float[Array, " n_u"]
     present: Bool[Array, " n"]
+    window: Float[Array, " n_u"] | None = None
 
 
 def tokens_of(
@@ -115,8 +120,8 @@ def padded(tokens: Tokens, targets: int) -> Tokens:
     return tokens._replace(**{name: more(getattr(tokens, name), axes) for name, axes in parts.items()})
 
 
-def token_size(problem: Problem, rays: int = 0) -> int:
-    """Number of features of a token, of which some are for rays.
+def token_size(problem: Problem, rays: int = 0, window: bool = False) -> int:
+    """Number of features of a token, of which some are for rays, and some for the dynamic window.
 
     Raises InputError where a state does not begin with the position.
     """
@@ -127,11 +132,12 @@ def token_size(problem: Problem, rays: int = 0) -> int:
     uncertainty = d + d * (d - 1) // 2 + 3
     own = (2 * d + 2) + d + uncertainty + 2 + 1 + 3 + len(CROWD_DEPTHS)
     own += (problem.team is not None) * TEAM_FEATURES + (problem.detections is not None) * SEARCH_FEATURES
+    own += window * WINDOW_FEATURES
     return own + 1 + len(TIMES_LEFT) + 2 + (2 * axes + 4) + 2 * d + ways_size(d, rays)
 
 
 def untold(
-    problem: Problem, objectives: Collection[Objective], tells_time: bool, rays: int = 0
+    problem: Problem, objectives: Collection[Objective], tells_time: bool, rays: int = 0, window: bool = False
 ) -> Bool[np.ndarray, " features"]:
     """Features that are 0 throughout a training for these objectives: the end, other tasks, borders of a region.
 
@@ -141,7 +147,7 @@ def untold(
     told = [tells_time] * len(TIMES_LEFT) + [task in objectives for task in ("mean", "seen")] + [True] * after_tasks
     tail = np.array([*told, *[False] * (2 * problem.agent.space.dimension)])
     around = np.ones(token_size(problem, rays) - token_size(problem), bool)
-    return ~np.concatenate([np.ones(token_size(problem) - len(tail), bool), tail, around])
+    return ~np.concatenate([np.ones(token_size(problem, 0, window) - len(tail), bool), tail, around])
 
 
 def _displacement(observation: Observation, robot: Robot) -> Float[Array, "n d"]:

@@ -87,6 +87,8 @@ CASES = {
     "pointer": Experiment(policy=POINTER),
     "commands, region, one mode": Experiment(scenario=BORDERS, policy=replace(POINTER, modes=1)),
     "pointer, in space": Experiment(scenario=QUADROTOR, policy=POINTER),
+    "window": Experiment(policy=replace(POINTER, window=True)),
+    "window, in space": Experiment(scenario=QUADROTOR, policy=replace(POINTER, window=True)),
     "camera that turns": Experiment(scenario=PAN, policy=POINTER),
     "camera that turns, in space": Experiment(scenario=PAN_TILT, policy=POINTER),
     "polygon, noise": Experiment(scenario=ODD_CAMERA, policy=replace(POINTER, tells_time=False)),

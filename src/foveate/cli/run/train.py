@@ -19,6 +19,7 @@ from foveate.experiment.run_folder import BEST, CONFIG, Outcome
 from foveate.learning.devices import ProcessLost, folder_of_this_process
 from foveate.learning.run_files import stored_run
 from foveate.learning.train import train, watched
+from foveate.policies.pointer import PointerSettings
 
 
 def run(options: Train) -> int:
@@ -117,4 +118,7 @@ def _judge(out: Path, experiment: Experiment) -> None:
     print("To continue:")
     print(f"  train for longer:      {longer}")
     print("  train another policy:  with another --seed; keep the one with the best verdict")
+    network = experiment.network
+    if "window" in verdict.unbeaten and isinstance(network, PointerSettings) and not (network.window or network.rays):
+        print("  begin at window:       foveate train --set policy.window=true ..; it takes about twice as long")
     print(f"  refine each decision:  foveate plan --run {out} --scenes own --refine 15")

@@ -15,7 +15,7 @@ from foveate.models import belief
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness, detection_weight
 from foveate.models.target import LinearGaussian
-from foveate.simulation.records import per_target
+from foveate.simulation.records import Observation, per_target
 from foveate.types import Count, Pose, Scalar
 
 
@@ -32,6 +32,20 @@ class Future(eqx.Module):
     present: Bool[Array, " n"]
     horizon: Count
     map_number: Count | None = None
+
+
+def believed_future(
+    problem: Problem, observation: Observation, mean_input: Float[Array, "n m_y"], window: int, horizon: Count
+) -> Future:
+    """Predicted future of targets that move without noise, with `mean_input` at every later step."""
+
+    def advance(state, _):
+        return problem.motion.advance(state, mean_input), state
+
+    states = jax.lax.scan(advance, observation.mean, None, window)[1]
+    steps = jnp.minimum(horizon, window)
+    beliefs = observation.information, observation.present
+    return Future(observation.pose, states, *beliefs, steps, map_number=observation.map_number)
 
 
 def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Scalar:

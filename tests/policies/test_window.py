@@ -2,14 +2,17 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.decisions import bearing_to, decide, seen
 
+from foveate.models.robot import Robot
 from foveate.planning.named import heuristic_policy
-from foveate.planning.window import PERIODS, commands
+from foveate.policies.tokens import tokens_of
+from foveate.policies.window import PERIODS, commands, told_window
 from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
@@ -87,6 +90,28 @@ def test_takes_the_best_of_all_commands():
         assert max(values[same]) > values.max() - 2e-4
         apart += np.sum(values > values.max() - 1e-4) < 5
     assert apart > 10, "in some of the cases few commands are the best"
+
+
+def test_what_a_network_is_told():
+    """Losses of steering to each target against the same simulation, and the window's own action."""
+    rng, window, told = np.random.default_rng(3), heuristic_policy("window", PROBLEM, 2.0), eqx.filter_jit(told_window)
+    for case in range(12):
+        pose = np.array([*rng.uniform(-2, 2, 2), rng.uniform(-9, 9)])
+        mean, log_dets = rng.uniform(-5, 5, (4, 2)), rng.uniform(-2, 9, 4)
+        left, tells_time = 2 if case % 3 == 0 else 9, case % 2 == 0
+        observation = replace(seen(pose, mean, log_dets, np.ones(4, bool), left), robot=Robot.of(PROBLEM))
+        steps = min(left, PERIODS) if tells_time else PERIODS
+        tracks, information = np.repeat(mean[:, None], steps, axis=1), np.asarray(observation.information)
+        ways = [*(steering(pose, track)[1] for track in tracks)]
+        values = [value(way, tracks, information) for way in ways]
+        others = [value(constant(pose, each, steps)[1], tracks, information) for each in [*GRID, (0.0, 0.0)]]
+        loss = 4 * (max(values + others) - np.array(values))
+        tokens = told(tokens_of(observation, "mean", tells_time), observation, tells_time)
+        np.testing.assert_allclose(tokens.features[:, 0], np.log1p(loss), atol=1e-6)
+        np.testing.assert_allclose(tokens.features[:, 1], np.log1p(loss.min()), atol=1e-6)
+        if steps == min(left, PERIODS):
+            action = decide(window, observation, KEY)[0]
+            np.testing.assert_allclose(np.asarray(tokens.window)[[0, 2]], action, atol=1e-9)
 
 
 def test_steers_as_price_where_nobody_can_be_reached():

@@ -10,10 +10,10 @@ from helpers.plans import PROBLEM, SPATIAL, TWO, future_of, spatial_future
 from foveate.evaluation.evaluate import prepare
 from foveate.experiment.presets import PRESETS
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
-from foveate.planning.information import Future, final_log_det, mean_score, score
 from foveate.planning.receding import FixedActions
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import ScheduleSettings
+from foveate.simulation.information import Future, final_log_det, mean_score, score
 from foveate.simulation.records import SURROGATE
 from foveate.simulation.rollout import log_dets
 
