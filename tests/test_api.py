@@ -326,7 +326,7 @@ def test_saved_policies_are_loaded_unchanged(tmp_path: Path):
     assert "triangle view of 2 m, a command [vx, wz] every 1 s" in text
     with pytest.raises(ValueError, match="exists already"):
         policy.save(tmp_path / "kept")
-    with pytest.raises(ValueError, match="no such run folder, and no preset"):
+    with pytest.raises(ValueError, match="no such run folder or file, and no preset"):
         foveate.load("nobody")
 
 

@@ -15,6 +15,7 @@ from foveate.planning.named import heuristic_policy
 from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
 from foveate.policies.steering import steer
 from foveate.scenario.detections import DetectionSettings
+from foveate.scenario.random_obstacles import CircleObstacles
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
@@ -239,30 +240,38 @@ def test_wrong_settings():
 def test_with_the_window_it_can_be_that_heuristic(name):
     """Which has tests of its own, and stands still without a target; the network's corrections are 0 here."""
     problem = SCENARIOS[name].problem()
-    policy = replace(SMALL, window=True).policy(problem, KEY)
-    policy = eqx.tree_at(lambda x: (x.window, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer)))
+    policy = replace(SMALL, dynamic_window=True).policy(problem, KEY)
+    policy = eqx.tree_at(
+        lambda x: (x.window_log_weight, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer))
+    )
     window = heuristic_policy("window", problem, float(problem.sensor.view.extent.ahead_m))
     decides = eqx.filter_jit(lambda observation: window(observation, (), KEY)[0])
     for seed in range(3):
         observation = seen(SCENARIOS[name], *scene(SCENARIOS[name].dimension, TARGETS, seed))
         np.testing.assert_allclose(decide(policy, observation), decides(observation), atol=1e-9)
+    nobody = replace(observation, present=jnp.zeros(TARGETS, bool))
+    still = problem.agent.control(decide(policy, nobody))
+    np.testing.assert_allclose(still, 0.0, atol=1e-9)
 
 
 def test_the_window_is_for_the_open_and_targets_with_ids():
-    with pytest.raises(InputError, match="window = True: expected false with rays"):
-        PointerSettings(kind="pointer", window=True, rays=8)
+    with pytest.raises(InputError, match="dynamic_window = True: expected false with rays"):
+        PointerSettings(kind="pointer", dynamic_window=True, rays=8)
     detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
-    problem = Scenario(detections=detections, scenes=SceneSettings(known_drift=False)).problem()
-    with pytest.raises(InputError, match=r"policy.window = True: expected false with detections without ids"):
-        replace(SMALL, window=True).policy(problem, KEY)
+    searched = Scenario(detections=detections, scenes=SceneSettings(known_drift=False))
+    for scenario in (searched, Scenario(obstacles=CircleObstacles(maps=1, test_maps=0))):
+        with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with obstacles"):
+            replace(SMALL, dynamic_window=True).policy(scenario.problem(), KEY)
 
 
 def test_the_window_in_an_episode_with_a_schedule():
     """The policy that is the heuristic acts as it does, from step to step."""
     scenario = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5)), scenes=SceneSettings(steps=4))
     problem, key = scenario.problem(), jax.random.key(2)
-    policy = replace(SMALL, window=True).policy(problem, KEY)
-    policy = eqx.tree_at(lambda x: (x.window, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer)))
+    policy = replace(SMALL, dynamic_window=True).policy(problem, KEY)
+    policy = eqx.tree_at(
+        lambda x: (x.window_log_weight, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer))
+    )
     heuristic = heuristic_policy("window", problem, float(scenario.view.depth_m))
 
     @jax.jit

@@ -85,6 +85,6 @@ def test_what_a_node_cannot_run_is_said(file):
         RobotModel(name="x", scenario=scheduled, axes=("vx",), decide=decide)
     with pytest.raises(InputError, match="axes"):
         RobotModel(name="x", scenario=pan, axes=("roll",), decide=decide)
-    with pytest.raises(InputError, match="no such run folder, and no preset"):
+    with pytest.raises(InputError, match="no such run folder or file, and no preset"):
         load_model("nothing")
     assert Experiment(scenario=pan).scenario == load_model(str(file)).scenario

@@ -21,7 +21,7 @@ class Evaluate(Command):
       foveate evaluate runs/first true-view --method policy uncertain
     """
 
-    run: Annotated[tyro.conf.Positional[tuple[str, ...]], option("RUN|PRESET ..")]
+    run: Annotated[tyro.conf.Positional[tuple[str, ...]], option("RUN|PRESET|FILE.onnx ..")]
     """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package). Of several,
     all run in the scenario of the first."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None

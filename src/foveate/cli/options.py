@@ -32,7 +32,7 @@ def _check_exists(name: str, value: str | Path) -> None:
     if name == "run" and not Path(value).is_dir() and not is_exported:
         run = str(value).partition("@")[0]  # of NAME@SOURCE, a policy in the scenario of SOURCE
         if run not in PRESET_NAMES and not Path(run).is_dir():
-            raise InputError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESET_NAMES)}")
+            raise InputError(f"{run}: no such run folder or file, and no preset: presets are {', '.join(PRESET_NAMES)}")
     if name != "run" and str(value) not in SCENES and not Path(value).exists():
         raise InputError(f"{value}: no such file")
 

@@ -18,7 +18,7 @@ class Render(Command):
     Noise is as in `foveate evaluate`: the figure shows the episode of its row with that scene and --seed.
     """
 
-    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET|FILE.onnx")]
     """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     out: Annotated[Path, option("FILE.gif|.mp4|.png|.pdf|.svg")]
     """.gif or .mp4: an animation. .png, .pdf or .svg: four pictures per scene."""

@@ -19,7 +19,7 @@ class Replay(ReadingCommand):
     With --out, writes replay.json, a figure and an animation, or a bag.
     """
 
-    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET|FILE.onnx")]
     """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     recording: Annotated[tyro.conf.Positional[tuple[Path, ...]], option("RECORDING ..")]
     """CSV files with the header time_s,track_id,x_m,y_m[,z_m]; other tables (--columns); MOT challenge text, rows of

@@ -20,7 +20,7 @@ class View(ReadingCommand):
     that plays without a server. Noise is as in `foveate evaluate` and `foveate replay`.
     """
 
-    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET")]
+    run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET|FILE.onnx")]
     """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file, table1 or own (default: table1 in the plane, own in space)."""

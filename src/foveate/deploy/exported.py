@@ -105,7 +105,10 @@ FIXED = "an exported file serves its own robot and targets: expected the run tha
 
 
 def load_exported(path: str | Path) -> ExportedPolicy:
-    """Load the policy of a file of `foveate export`. Raises InputError as `open_file`."""
+    """Load the policy of a file of `foveate export`. Raises InputError as `open_file`.
+
+    Of its experiment only the scenario and the objective are the file's: the network's settings are not in it.
+    """
     session = open_file(str(path))
     experiment = Experiment(scenario=session.scenario)
     if session.objective is not None:

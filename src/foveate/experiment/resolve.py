@@ -85,7 +85,7 @@ def run_folder(run: Name) -> Path:
     if str(run) in PRESETS and not (folder / CONFIG).is_file():
         return TRAINED / str(run)
     if not folder.is_dir():
-        raise InputError(f"{run}: no such run folder, and no preset: presets are {', '.join(PRESETS)}")
+        raise InputError(f"{run}: no such run folder or file, and no preset: presets are {', '.join(PRESETS)}")
     return folder
 
 

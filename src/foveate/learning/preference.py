@@ -25,7 +25,8 @@ def best_preference(policy: PointerPolicy, score_of: Callable[[Policy], jax.Arra
     """The untrained policy with the preference of the highest score: among targets, or for the dynamic window."""
     first = policy.preference  # in a team with a third number, which stays
     candidates = [replace(policy, preference=first.at[:2].set(jnp.array(each))) for each in PREFERENCES]
-    if policy.window is not None:
-        candidates.append(replace(policy, window=jnp.full_like(policy.window, WINDOW_LOG_WEIGHT)))
+    if policy.window_log_weight is not None:
+        weight = jnp.full_like(policy.window_log_weight, WINDOW_LOG_WEIGHT)
+        candidates.append(replace(policy, window_log_weight=weight))
     scores = from_first_process(*(float(score_of(each)) for each in candidates))
     return candidates[scores.index(max(scores))]

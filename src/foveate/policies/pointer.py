@@ -77,9 +77,10 @@ class PointerSettings(Settings):
     rays: int = 0
     """Number of rays along which it is told free ranges. With any it is also told the ways around obstacles, and aims
     along them; 0: it knows of no obstacles."""
-    window: bool = False
+    dynamic_window: bool = False
     """Proposes the command of the heuristic `window`, too, and is told what that expects of steering to each target: a
-    training then begins no lower than `window`, and takes about twice as long."""
+    training then begins no lower than `window`, and takes about twice as long. Not among obstacles, nor with rays or
+    detections without ids."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -89,7 +90,8 @@ class PointerSettings(Settings):
         for name in ("heads", "modes", "mode_width"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         require(0 <= self.rays <= MAX_RAYS, "rays", self.rays, f"expected 0 to {MAX_RAYS}")
-        require(not (self.window and self.rays), "window", self.window, "expected false with rays")
+        right = "expected false with rays"
+        require(not (self.dynamic_window and self.rays), "dynamic_window", self.dynamic_window, right)
 
     def policy(
         self,
@@ -103,23 +105,24 @@ class PointerSettings(Settings):
         `others` are further objectives of its training, as in worlds of random robots.
         """
         searches = problem.detections is not None
-        right = "expected false with detections without ids"
-        require(not (self.window and searches), "policy.window", self.window, right)
+        excluded = searches or problem.obstacles is not None
+        right = "expected false with obstacles, and with detections without ids"
+        require(not (self.dynamic_window and excluded), "policy.dynamic_window", self.dynamic_window, right)
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
-            (token_size(problem, self.rays, self.window), *self.target_widths),
+            (token_size(problem, self.rays, self.dynamic_window), *self.target_widths),
             (embedding, self.heads),
             (self.heads * embedding, *self.context_widths),
             (embedding, self.mode_width),
             (context, self.mode_width),
             (self.mode_width, self.modes * (1 + axes)),
-            (context, (1 + self.window) * (1 + axes)),
+            (context, (1 + self.dynamic_window) * (1 + axes)),
         )
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
         weight = jnp.where(
-            untold(problem, (objective, *others), tells_time, self.rays, self.window), 0.0, target[0].weight
+            untold(problem, (objective, *others), tells_time, self.rays, self.dynamic_window), 0.0, target[0].weight
         )
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
@@ -129,8 +132,8 @@ class PointerSettings(Settings):
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
         told = objective, tells_time, tells_team, self.rays, searches
-        window = jnp.full(1, FREE_LOG_WEIGHT) if self.window else None
-        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window=window)
+        window = jnp.full(1, FREE_LOG_WEIGHT) if self.dynamic_window else None
+        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window_log_weight=window)
 
 
 class SetEncoder(eqx.Module):
@@ -173,7 +176,7 @@ class PointerPolicy(Policy):
     tells_team: bool = eqx.field(static=True, default=False)
     rays: int = eqx.field(static=True, default=0)
     searches: bool = eqx.field(static=True, default=False)
-    window: Float[Array, " 1"] | None = None
+    window_log_weight: Float[Array, " 1"] | None = None
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
@@ -198,7 +201,7 @@ class PointerPolicy(Policy):
         """What the network is told of an observation."""
         if not self.searches:
             tokens = tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
-            return tokens if self.window is None else told_window(tokens, observation, self.tells_time)
+            return tokens if self.window_log_weight is None else told_window(tokens, observation, self.tells_time)
         searched = with_places(observation)
         told = self.objective, self.tells_time, self.tells_team, self.rays
         # All the way, as the look-ahead goes: there may be nothing to keep in view.
@@ -228,9 +231,9 @@ class PointerPolicy(Policy):
         action = jnp.concatenate([aimed[:, None], free], axis=1).reshape(log_weight.size, axes)
         log_weights = jnp.append(log_weight.ravel(), idle[0] + FREE_LOG_WEIGHT)
         modes = Modes(log_weights, jnp.concatenate([action, rest]))
-        if self.window is None or tokens.window is None:
+        if self.window_log_weight is None or tokens.window is None:
             return modes
-        weight, correction = idle[1 + axes] + self.window[0], idle[2 + axes :]
+        weight, correction = idle[1 + axes] + self.window_log_weight[0], idle[2 + axes :]
         proposed = tokens.window + LARGEST_CORRECTION * jnp.tanh(correction * tokens.unit)
         return Modes(jnp.append(modes.log_weight, weight), jnp.concatenate([modes.action, proposed[None]]))
 

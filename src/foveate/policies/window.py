@@ -58,13 +58,15 @@ class DynamicWindow(Policy):
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The first action of the first of the best; stand still without a target."""
-        problem, agent = self.problem.at(observation.step).of_map(observation.map_number), self.problem.agent
-        best = tried(problem, observation, self.standoff_m, observation.left).best
-        return jnp.where(observation.present.any(), best, agent.action(jnp.zeros_like(agent.lower))), memory
+        problem = self.problem.at(observation.step).of_map(observation.map_number)
+        return tried(problem, observation, self.standoff_m, observation.left).best, memory
 
 
 def tried(problem: Problem, observation: Observation, standoff_m: Scalar | float, left: Count) -> Tried:
-    """Simulate all commands for PERIODS, or for the steps that are `left`; `problem` is that of this step and map."""
+    """Simulate all commands for PERIODS, or for the steps that are `left`; `problem` is that of this step and map.
+
+    Without a target the best is to stand still.
+    """
     future = believed_future(problem, observation, observation.known_input, PERIODS, jnp.maximum(left, 1))
     positions_world = problem.motion.position(future.state)
     steering = jax.vmap(lambda path: _steering(problem, future, path, standoff_m), in_axes=1)(positions_world)
@@ -81,7 +83,8 @@ def tried(problem: Problem, observation: Observation, standoff_m: Scalar | float
     )
     result = jnp.concatenate([by_steering, by_constant])
     best = jnp.argmin(jnp.where(result >= jnp.max(result) - TIE_NAT, order, jnp.inf))
-    return Tried(by_steering, by_constant, jnp.concatenate([steering[:, 0], constant])[best])
+    action = jnp.concatenate([steering[:, 0], constant])[best]
+    return Tried(by_steering, by_constant, jnp.where(observation.present.any(), action, constant[-1]))
 
 
 def commands(agent: Agent) -> Float[Array, "commands m"]:

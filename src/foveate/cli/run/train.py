@@ -118,7 +118,13 @@ def _judge(out: Path, experiment: Experiment) -> None:
     print("To continue:")
     print(f"  train for longer:      {longer}")
     print("  train another policy:  with another --seed; keep the one with the best verdict")
-    network = experiment.network
-    if "window" in verdict.unbeaten and isinstance(network, PointerSettings) and not (network.window or network.rays):
-        print("  begin at window:       foveate train --set policy.window=true ..; it takes about twice as long")
+    if "window" in verdict.unbeaten and _may_begin_at_window(experiment):
+        print(f"  begin at window:       foveate train --config {out / CONFIG} --set policy.dynamic_window=true")
     print(f"  refine each decision:  foveate plan --run {out} --scenes own --refine 15")
+
+
+def _may_begin_at_window(experiment: Experiment) -> bool:
+    network, scenario = experiment.network, experiment.scenario
+    if not isinstance(network, PointerSettings) or network.dynamic_window or network.rays:
+        return False
+    return scenario.obstacles is None and scenario.detections is None
