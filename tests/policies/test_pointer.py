@@ -240,10 +240,7 @@ def test_wrong_settings():
 def test_with_the_window_it_can_be_that_heuristic(name):
     """Which has tests of its own, and stands still without a target; the network's corrections are 0 here."""
     problem = SCENARIOS[name].problem()
-    policy = replace(SMALL, dynamic_window=True).policy(problem, KEY)
-    policy = eqx.tree_at(
-        lambda x: (x.window_log_weight, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer))
-    )
+    policy = at_the_window(problem)
     window = heuristic_policy("window", problem, float(problem.sensor.view.extent.ahead_m))
     decides = eqx.filter_jit(lambda observation: window(observation, (), KEY)[0])
     for seed in range(3):
@@ -268,10 +265,7 @@ def test_the_window_in_an_episode_with_a_schedule():
     """The policy that is the heuristic acts as it does, from step to step."""
     scenario = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5)), scenes=SceneSettings(steps=4))
     problem, key = scenario.problem(), jax.random.key(2)
-    policy = replace(SMALL, dynamic_window=True).policy(problem, KEY)
-    policy = eqx.tree_at(
-        lambda x: (x.window_log_weight, x.idle_layer), policy, (jnp.full(1, 99.0), zero(policy.idle_layer))
-    )
+    policy = at_the_window(problem)
     heuristic = heuristic_policy("window", problem, float(scenario.view.depth_m))
 
     @jax.jit
@@ -282,5 +276,8 @@ def test_the_window_in_an_episode_with_a_schedule():
     np.testing.assert_allclose(*actions(key), atol=1e-9)
 
 
-def zero(layer):
-    return jax.tree.map(jnp.zeros_like, layer)
+def at_the_window(problem):
+    """A policy that takes the window's command, without a correction."""
+    policy = replace(SMALL, dynamic_window=True).policy(problem, KEY)
+    nothing = jax.tree.map(jnp.zeros_like, policy.idle_layer)
+    return eqx.tree_at(lambda x: (x.window_log_weight, x.idle_layer), policy, (jnp.full(1, 99.0), nothing))

@@ -59,7 +59,10 @@ def test_suites_are_those_of_version_0_1_0(preset, seed, digest):
 
 @pytest.mark.parametrize("preset", ["paper", "quadrotor"])
 def test_episodes_equal_those_made_scene_by_scene_bit_for_bit(preset):
-    """Scene by scene, with numpy's padding; and some numbers of version 0.1.0, to seven digits."""
+    """Scene by scene, with numpy's padding; and some numbers of version 0.1.0, to seven digits.
+
+    That version drew targets with velocities by eigenvectors, and so otherwise on every machine.
+    """
     scenario = PRESETS[preset].scenario
     problem, settings = scenario.problem(), scenario.scenes
     scenes = own_suite(settings, problem)[29:90:30]
@@ -85,12 +88,9 @@ def test_episodes_equal_those_made_scene_by_scene_bit_for_bit(preset):
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
-    state, mean = {
-        "paper": ([3.9402337168, -7.8765259406], [-5.8332035811, 7.2125564407]),
-        "quadrotor": ([-3.5011987344, 3.9216658205, 2.0936986598], [-4.6711097808, 0.4922266514, 1.7126709050]),
-    }[preset]
-    np.testing.assert_allclose(found.truth.state[3, 2, 1, :d], state, atol=1e-9)
-    np.testing.assert_allclose(found.mean[5, 0, :d], mean, atol=1e-9)
+    if preset == "paper":
+        np.testing.assert_allclose(found.truth.state[3, 2, 1], [3.9402337168, -7.8765259406], atol=1e-9)
+        np.testing.assert_allclose(found.mean[5, 0], [-5.8332035811, 7.2125564407], atol=1e-9)
 
 
 IN_SINGLE_PRECISION = """

@@ -224,6 +224,8 @@ def test_heuristics_have_files_too(name, scenario, tmp_path):
     belief = foveate.Belief(arrays["mean"][9], information=arrays["information"][9], present=arrays["present"][9])
     loaded = foveate.load(tmp_path / "policy.onnx")
     np.testing.assert_allclose(loaded(belief, arrays["pose"][9]), heuristic(belief, arrays["pose"][9]), atol=2e-5)
+    with pytest.raises(InputError, match="reads the map: expected a scenario without obstacles"):
+        foveate.heuristic(name, "rooms").export(tmp_path / "rooms.onnx")
     with pytest.raises(InputError, match="a memory"):
         foveate.heuristic("lawnmower", scenario).export(tmp_path / "lawnmower.onnx")
 

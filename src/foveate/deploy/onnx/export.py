@@ -139,10 +139,10 @@ def _model(experiment: Experiment, policy: Policy, opset: int) -> "tuple[ModelPr
     if opset not in OPSETS:
         raise InputError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
     problem = experiment.scenario.problem()
-    graph, inputs = _graph(policy, problem, opset)
     heuristic = None if isinstance(policy, PointerPolicy | AttentionPolicy) else type(policy).__name__
     if problem.obstacles is not None and (heuristic or getattr(policy, "window_log_weight", None) is not None):
         raise InputError(f"{heuristic or 'the dynamic window'} reads the map: expected a scenario without obstacles")
+    graph, inputs = _graph(policy, problem, opset)
     from onnx import checker, helper
 
     output = _value_info("control", "float32", ("b", len(problem.agent.axes)), "body-frame command [m/s, rad/s]")
