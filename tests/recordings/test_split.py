@@ -1,6 +1,7 @@
 """Parts of a recording, and the choice among policies by one of them; against sums by hand and the shipped planners."""
 
 import json
+import re
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -16,8 +17,10 @@ from foveate.evaluation.plan import online_planner
 from foveate.evaluation.planners import planner
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.resolve import NamedPolicy
+from foveate.names import METHODS
 from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import ONLINE, PUBLISHED, refining
+from foveate.recordings.methods import replay_methods
 from foveate.recordings.recording import window
 from foveate.recordings.split import parsed_split, part_of, span_of
 
@@ -119,6 +122,17 @@ def test_planners_have_the_names_of_their_rows():
     assert online_planner("refine-5").settings("true") == refining("true", 5)
     with pytest.raises(InputError, match="starts"):
         online_planner("icr-0")
+
+
+@pytest.mark.parametrize("name", ["icr-x", "icr+greedy", "uncertain+x", "uncertain+", "all+greedy", "explore"])
+def test_one_list_has_all_methods_that_are_possible(name):
+    with pytest.raises(
+        InputError, match=f"method '{re.escape(name)}': expected one of policy, .*NAME.RULE.*icr-ST"
+    ) as it:
+        replay_methods(["uncertain+greedy", "icr-3", "all", name])
+    assert "lookahead" not in str(it.value)
+    assert replay_methods(["uncertain+greedy", "icr-3", "all"]) == ("uncertain+greedy", "icr-3", *METHODS)
+    assert replay_methods(["explore", "all"], has_ids=False) == ("explore", *METHODS, "alternate", "lookahead")
 
 
 @pytest.mark.slow  # plans at every step

@@ -1,11 +1,14 @@
 """Messages by the definitions of ROS, through the bytes that ROS sends, and back."""
 
+from array import array
+
 import numpy as np
 import pytest
 from helpers.ros import detections, odometry
 from scipy.spatial.transform import Rotation
 
-from foveate.ros.markers import belief_shapes, view_shapes
+from foveate.io.occupancy import OccupancyGrid
+from foveate.ros.markers import UPRIGHT, Shape, belief_shapes, view_shapes
 from foveate.ros.messages import Messages, detections_of_array, detections_of_vision, odometry_of, stamp_of
 from foveate.ros.records import Estimate
 
@@ -40,6 +43,27 @@ def test_records_come_back(store, make):
     positions = [(1.0, 2.0, 3.0), (4.0, 5.0, 6.0)]
     array = detections_of_array(sent(store, make.pose_array(make.header(NOW, "map"), positions)))
     assert array == found._replace(positions=dict(zip("01", positions, strict=True)))
+
+
+def test_bytes_are_arrays_for_rclpy(store):
+    """Its setters, where they check, take array.array for int8[] and uint8[], and numpy for float64[36]."""
+
+    class Rclpy:
+        ADD, SPHERE, get_fields_and_field_types = 0, 2, None
+
+        def __init__(self, **fields):
+            self.__dict__.update(fields)
+
+    make = Messages(find=lambda name: Rclpy)
+    occupied = np.array([[False, True], [True, True], [False, False]])
+    header, grid = make.header(NOW, "map"), OccupancyGrid(occupied, np.zeros(2), 0.1)
+    assert make.occupancy(header, grid).data == array("b", [0, 100, 0, 100, 100, 0])
+    (marker,) = make.added(header, [Shape("", "ellipsoid", (0.0,) * 3, UPRIGHT, (0.0,) * 3, (0.0,) * 4)])
+    assert marker.mesh_file.data == marker.texture.data == array("B")
+    assert isinstance(make.odometry(odometry(NOW), (0.0,) * 6).pose.covariance, np.ndarray)
+    assert make.text("a").data == "a"
+    sets = Messages(find=store.types.__getitem__)
+    assert sent(store, sets.occupancy(sets.header(NOW, "map"), grid)).data.tolist() == [0, 100, 0, 100, 100, 0]
 
 
 def test_detections_without_ids_are_counted(store, make):

@@ -106,6 +106,8 @@ def test_robots_of_a_team_hear_each_other(watched):
     """What one node sends on /team, as it is in bytes, is what the other takes."""
     nodes = [Node(policy="any", robot=name) for name in ("r1", "r2")]
     drivers = [Driver(node, find, "qos") for node in nodes]
+    drivers[0].step()
+    assert not nodes[0].sent["/team"]  # without odometry there is no frame
     for node in nodes:
         node.subscriptions["odom"](MAKE.odometry(odometry(99.9), (0.0,) * 6))
     nodes[0].subscriptions["detections"](MAKE.detections(detections(99.95, a=(3, 1, 0))))

@@ -8,6 +8,7 @@ import pytest
 from helpers.ros import PLANE, Watched, detections, odometry
 
 from foveate.errors import InputError
+from foveate.experiment.presets import PRESETS
 from foveate.ros.core import CoreSettings
 from foveate.ros.team import TeamCore
 
@@ -143,6 +144,9 @@ def message(**changes):
         ({"measurements": 3}, "lacks a field"),
         ({"measurements": [{**message()[1], "pose": [0, 0]}]}, "lacks a field"),
         ({"measurements": [{**message()[1], "positions": {"a": [1, 2]}}]}, "lacks a field"),
+        ({"measurements": [{**message()[1], "positions": []}]}, "lacks a field"),
+        ({"measurements": [{**message()[1], "time_s": 10**400}]}, "lacks a field"),
+        ({"measurements": [{**message()[1], "pose": [10**400, 0, 0, 0, 0, 0, 1]}]}, "lacks a field"),
         ({"measurements": [{**message()[1], "pose": [1e12, 0, 0, 0, 0, 0, 1]}]}, "team: r2: "),
     ],
 )
@@ -151,6 +155,39 @@ def test_a_message_that_is_none_is_left_out_with_a_reason(changes, why):
     text = json.dumps(message(**changes)[0])
     assert why in core.on_message(text, NOW)
     assert core.decide(NOW).estimates == ()
+
+
+def rows(*changes):
+    return json.dumps(message(measurements=[{**message()[1], **each} for each in changes])[0])
+
+
+def test_what_is_of_no_use_costs_the_rest_of_a_message_nothing():
+    """A pose and a position beyond all bounds before good ones, which alone are worked in and told on."""
+    core = robot("r1")
+    bad = {"time_s": NOW - 0.2, "pose": [1e30, 0, 0, 0, 0, 0, 1]}
+    mixed = {"time_s": NOW - 0.1, "positions": {"a": [3, 1, 0], "b": [1e200, 1, 0]}}
+    for _ in range(2):
+        wrong = core.on_message(rows(bad, mixed, {"positions": {"a": [3.1, 1.1, 0]}}), NOW)
+        assert wrong.startswith("team: r2: pose = [1e+30")
+    assert "position of 'b' = [1e+200, 1.0, 0.0]" in core.on_message(rows(mixed), NOW)
+    told = json.loads(core.message(NOW))["measurements"]
+    assert [each["positions"] for each in told] == [{"a": [3, 1, 0]}, {"a": [3.1, 1.1, 0]}]
+    check(core, [(NOW - 0.1, 3, 1), (NOW, 3.1, 1.1)], NOW)
+
+
+def test_what_is_too_late_is_tried_once():
+    core = robot("r1")
+    looks(core, NOW + 0.5, now_s=NOW, a=(3, 1, 0))  # by a clock that is ahead: the tracker takes none before NOW - 0.5
+    for _ in range(3):
+        assert core.on_message(rows({"time_s": NOW - 0.9}), NOW) is None
+    assert core._tracker.too_late == 1
+    assert [each["robot"] for each in json.loads(core.message(NOW))["measurements"]] == ["r1"]
+
+
+def test_a_policy_that_learns_from_targets_not_detected_is_rejected():
+    search = Watched(PRESETS["search"].scenario).core.model
+    with pytest.raises(InputError, match=r"sensor\.missed_detections = 'used': expected none for a team"):
+        TeamCore(search, CoreSettings(), "r1")
 
 
 def test_other_texts_and_its_own_are_left_out():

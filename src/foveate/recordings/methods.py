@@ -6,8 +6,8 @@ from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.evaluation.plan import online_planner
-from foveate.experiment.resolve import Subject, methods_of
-from foveate.names import METHODS, SEARCHERS
+from foveate.experiment.resolve import Subject
+from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS
 from foveate.simulation.records import Policy
 
 PROTOCOL = "true"
@@ -22,13 +22,15 @@ def replay_methods(method: str | Sequence[str], has_ids: bool = True) -> tuple[s
     known = METHODS if has_ids else (*METHODS, *SEARCHERS)
     names: list[str] = []
     for name in [method] if isinstance(method, str) else method:
-        if online_planner(name) is not None:
+        one, plus, rule = name.partition("+")
+        if name == "all":
+            names += known
+        elif online_planner(name) is not None or (one in known and (not plus or rule in ASSIGNMENTS)):
             names.append(name)
-        elif name.partition("+")[0] in (*known, "all"):
-            names += methods_of(name, has_ids)
         else:
-            planners = "or a planner: icr, icr-STARTS, refine-STEPS"
-            raise InputError(f"method {name!r}: expected one of {', '.join(known)}, all, {planners}")
+            team = f"in a team also NAME+RULE with {', '.join(ASSIGNMENTS)}"
+            right = f"{', '.join(known)}, all, {team}, or a planner: icr, icr-STARTS, refine-STEPS"
+            raise InputError(f"method {name!r}: expected one of {right}")
     return tuple(dict.fromkeys(names))
 
 

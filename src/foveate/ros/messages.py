@@ -4,6 +4,7 @@
 """
 
 import re
+from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,8 @@ MAX_TURN = 1e-4
 """Largest part of a map's quaternion that is rounding."""
 MOST_TOPICS = 100
 """Targets with a topic of their own; the markers show all."""
+OCCUPIED = 100
+"""Per cent of an occupied cell in a nav_msgs/OccupancyGrid."""
 KINDS = {"ellipsoid": "SPHERE", "text": "TEXT_VIEW_FACING", "line": "LINE_STRIP"}
 
 
@@ -40,10 +43,8 @@ def stamp_of(time_s: float) -> tuple[int, int]:
 def odometry_of(message: Any) -> Odometry:
     """Record of a nav_msgs/Odometry."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
-    header = message.header
-    return Odometry(
-        seconds(header.stamp), header.frame_id, message.child_frame_id, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
-    )
+    header, pose = message.header, ((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    return Odometry(seconds(header.stamp), header.frame_id, message.child_frame_id, *pose)
 
 
 def detections_of_array(message: Any) -> Detections:
@@ -89,10 +90,6 @@ def topic_name(target: str) -> str:
     return "target_" + (re.sub(r"[^A-Za-z0-9]+", "_", target).strip("_") or "x")
 
 
-OCCUPIED = 100
-"""Per cent of an occupied cell in a nav_msgs/OccupancyGrid."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Messages:
     """Makes messages of the classes that `find` knows."""
@@ -100,7 +97,11 @@ class Messages:
     find: Callable[[str], Any]
 
     def _make(self, package: str, name: str, **fields: Any) -> Any:
-        return self.find(f"{package}/msg/{name}")(**fields)
+        kind = self.find(f"{package}/msg/{name}")
+        # rclpy's classes, which have this, take array.array for a sequence of bytes; rosbags' take numpy only.
+        if isinstance(data := fields.get("data"), np.ndarray) and hasattr(kind, "get_fields_and_field_types"):
+            fields["data"] = array(data.dtype.char, data.tobytes())
+        return kind(**fields)
 
     def text(self, content: str) -> Any:
         """A text."""

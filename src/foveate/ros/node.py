@@ -164,7 +164,7 @@ class Driver:
         """Decide; the command goes out first, the beliefs after it."""
         decision = self.core.decide(self._now_s())
         self._command(decision.time_s, decision.twist)
-        if isinstance(self.core, TeamCore):
+        if isinstance(self.core, TeamCore) and self.core.frame:  # without odometry there is nothing to tell
             self._team.publish(self._messages.text(self.core.message(decision.time_s)))
         if decision.stopped:
             self._log("warning", f"stopped: {decision.stopped}")

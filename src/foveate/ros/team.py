@@ -21,6 +21,7 @@ from foveate.ros.markers import quaternion_of
 from foveate.ros.messages import position_of
 from foveate.ros.model import RobotModel
 from foveate.ros.poses import matrix_of
+from foveate.scenario.rows import MAX_LENGTH
 
 FORMAT, VERSION = "foveate-team", 1
 MOST_MEASUREMENTS = 10_000
@@ -44,11 +45,15 @@ class Measured(NamedTuple):
 class TeamCore(Core):
     """A node's state in a team: `message` is for the others, `on_message` takes theirs.
 
-    `robot` is its name, of which there is one in the team.
+    `robot` is its name, of which there is one in the team. Raises InputError for a policy that learns from targets not
+    detected: a message does not say where its robot has looked.
     """
 
     def __init__(self, model: RobotModel, settings: CoreSettings, robot: str) -> None:
         require(bool(robot), "robot", robot, "expected a name")
+        right = "expected none for a team, whose messages hold measurements only"
+        missed = model.scenario.sensor.missed_detections
+        require(missed != "used", "sensor.missed_detections", missed, right)
         self.robot = robot
         super().__init__(model, settings)
 
@@ -82,7 +87,7 @@ class TeamCore(Core):
         return json.dumps({**content, "measurements": [each._asdict() for each in self._told]})
 
     def on_message(self, text: str, now_s: float) -> str | None:
-        """Work in what is new in another robot's message; return what is wrong with one that is left out."""
+        """Work in what is new in another robot's message; return what is wrong with what it leaves out."""
         try:
             robot, frame, measurements = _parsed(text)
         except InputError as error:
@@ -93,22 +98,29 @@ class TeamCore(Core):
             return "team: no odometry yet; what others tell is left out"
         if frame.strip("/") != self.frame.strip("/"):
             return f"team: the frame of {robot} is {frame!r}, that of the odometry {self.frame!r}: expected one for all"
-        oldest_s = now_s - self.settings.lag_s
+        oldest_s, wrong = now_s - self.settings.lag_s, None
         for each in sorted(measurements, key=lambda each: each.time_s):
             if each.robot == self.robot or not oldest_s <= each.time_s <= now_s + self.settings.lag_s:
                 continue
-            new = {t: p for t, p in each.positions.items() if (each.robot, each.time_s, t) not in self._known}
-            pose = matrix_of(each.pose[:3], each.pose[3:])  # type: ignore[arg-type]
-            if not new or pose is None:
-                continue
-            d = self.model.scenario.dimension
             try:
-                seen = super()._work_in(pose, {name: np.array(p[:d]) for name, p in new.items()}, each.time_s)
-            except InputError as error:  # of positions beyond all bounds
-                return f"team: {robot}: {error}"
-            if seen is not None:
-                self._keep(each._replace(positions=new))
-        return None
+                self._take(each)
+            except InputError as error:  # of a pose or a position beyond all bounds
+                wrong = wrong or f"team: {robot}: {error}"
+        return wrong
+
+    def _take(self, told: Measured) -> None:
+        """Work in what is new of another's measurements. Raises InputError for those beyond all bounds, at the end."""
+        new = {t: p for t, p in told.positions.items() if (told.robot, told.time_s, t) not in self._known}
+        usable = {t: p for t, p in new.items() if max(map(abs, p)) <= MAX_LENGTH}
+        pose = matrix_of(told.pose[:3], told.pose[3:])  # type: ignore[arg-type]
+        if usable and pose is not None:
+            d, measured = self.model.scenario.dimension, told._replace(positions=usable)
+            if super()._work_in(pose, {t: np.array(p[:d]) for t, p in usable.items()}, told.time_s) is None:
+                self._known |= measured.keys  # too late, and so it stays: it is not to be tried again
+            else:
+                self._keep(measured)
+        if far := [t for t in new if t not in usable]:
+            raise InputError(f"position of {far[0]!r:.40} = {list(new[far[0]])}: expected up to {MAX_LENGTH:g}")
 
 
 def _parsed(text: str) -> tuple[str, str, list[Measured]]:
@@ -124,7 +136,7 @@ def _parsed(text: str) -> tuple[str, str, list[Measured]]:
         rows = content["measurements"][: MOST_MEASUREMENTS + 1]
         found = [_measured(row) for row in rows]
         robot, frame = str(content["robot"]), str(content["frame"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"a message lacks a field, or has another ({error!r:.60}): {right}") from None
