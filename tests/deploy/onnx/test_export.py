@@ -104,7 +104,7 @@ GAINS = {
 }
 """Scales of weights with which decisions differ and are not all extreme, where that is not 1."""
 QUICK = ("attention, body", "attention, body, in space", "pointer")
-COMBINED = ("attention, world", "pointer, in space", "camera that turns")
+COMBINED = ("attention, world", "pointer, in space", "camera that turns", "window, in space")
 """Cases of which each part is in another case."""
 TIERED = [
     pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK) + [pytest.mark.exhaustive] * (name in COMBINED))
