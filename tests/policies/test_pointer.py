@@ -252,8 +252,8 @@ def test_with_the_window_it_can_be_that_heuristic(name):
 
 
 def test_the_window_is_for_the_open_and_targets_with_ids():
-    with pytest.raises(InputError, match="dynamic_window = True: expected false with rays"):
-        PointerSettings(kind="pointer", dynamic_window=True, rays=8)
+    with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with obstacles or rays"):
+        PointerSettings(kind="pointer", dynamic_window=True, rays=8).policy(Scenario().problem(), KEY)
     detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
     searched = Scenario(detections=detections, scenes=SceneSettings(known_drift=False))
     for scenario in (searched, Scenario(obstacles=CircleObstacles(maps=1, test_maps=0))):

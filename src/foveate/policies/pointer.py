@@ -90,8 +90,10 @@ class PointerSettings(Settings):
         for name in ("heads", "modes", "mode_width"):
             require(getattr(self, name) >= 1, name, getattr(self, name), "expected >= 1")
         require(0 <= self.rays <= MAX_RAYS, "rays", self.rays, f"expected 0 to {MAX_RAYS}")
-        right = "expected false with rays"
-        require(not (self.dynamic_window and self.rays), "dynamic_window", self.dynamic_window, right)
+
+    def fits_window(self, problem: Problem) -> bool:
+        """True if the network may propose the dynamic window's command."""
+        return self.rays == 0 and problem.obstacles is None and problem.detections is None
 
     def policy(
         self,
@@ -104,10 +106,9 @@ class PointerSettings(Settings):
 
         `others` are further objectives of its training, as in worlds of random robots.
         """
-        searches = problem.detections is not None
-        excluded = searches or problem.obstacles is not None
-        right = "expected false with obstacles, and with detections without ids"
-        require(not (self.dynamic_window and excluded), "policy.dynamic_window", self.dynamic_window, right)
+        may_propose = self.fits_window(problem) or not self.dynamic_window
+        right = "expected false with obstacles or rays, and with detections without ids"
+        require(may_propose, "policy.dynamic_window", self.dynamic_window, right)
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
             (token_size(problem, self.rays, self.dynamic_window), *self.target_widths),
@@ -121,17 +122,15 @@ class PointerSettings(Settings):
         target, query, context_layers, *heads = fresh_layers(widths, key)
         # What a training never tells may not disturb a policy where it is told: those weights stay as they begin.
         tells_time = self.tells_time is not False
-        weight = jnp.where(
-            untold(problem, (objective, *others), tells_time, self.rays, self.dynamic_window), 0.0, target[0].weight
-        )
+        never = untold(problem, (objective, *others), tells_time, self.rays, self.dynamic_window)
+        weight = jnp.where(never, 0.0, target[0].weight)
         target = (eqx.tree_at(lambda layer: layer.weight, target[0], weight), *target[1:])
         by_target, by_context, mode, idle = (layers[0] for layers in heads)
         mode, idle = (jax.tree.map(lambda x: FIRST_SCALE * x, layer) for layer in (mode, idle))
-        encoder = SetEncoder(target, query)
-        layers = (encoder, context_layers, by_target, by_context, mode, idle)
+        layers = (SetEncoder(target, query), context_layers, by_target, by_context, mode, idle)
         tells_team = problem.team is not None
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
-        told = objective, tells_time, tells_team, self.rays, searches
+        told = objective, tells_time, tells_team, self.rays, problem.detections is not None
         window = jnp.full(1, FREE_LOG_WEIGHT) if self.dynamic_window else None
         return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window_log_weight=window)
 

@@ -91,6 +91,10 @@ FUNCTIONS = {
     "inverse": lambda x, there, k, m: inverse_spd(m)[:, 0] * log_det_spd(m)[:, None],
     # vmap puts its own axis last here, and the matrix is still found.
     "inverse of columns": lambda x, there, k, m: jax.vmap(inverse_spd, in_axes=2, out_axes=1)(jnp.moveaxis(m, 0, 2)),
+    "loop": lambda x, there, k, m: jnp.concatenate(
+        [part.reshape(-1) for part in jax.lax.scan(lambda s, i: (s * 0.5 + i * x, s[:, 0] - i), x, TABLE[:, 0])]
+    ),
+    "whole numbers": lambda x, there, k, m: jnp.round(x) + jnp.round(x + 0.3),
     "constant": lambda x, there, k, m: jnp.cumsum(jnp.asarray(TABLE), axis=0),
     "input": lambda x, there, k, m: x,
 }
@@ -126,6 +130,8 @@ def test_nothing_is_computed_twice_or_in_vain():
 def test_an_operation_without_a_rule_is_named():
     with pytest.raises(NoRule, match="sort"):
         model_of(lambda x, there, k, m: jnp.sort(x, axis=0))
+    with pytest.raises(NoRule, match="scan backwards"):
+        model_of(lambda x, there, k, m: jax.lax.scan(lambda s, i: (s + i, s), x, TABLE[:, 0], reverse=True)[1])
     with pytest.raises(NoRule, match="size 2\\*n"):
         model_of(lambda x, there, k, m: x + 2 * x.shape[0])
     with pytest.raises(NoRule, match="random numbers"):

@@ -124,7 +124,7 @@ def _judge(out: Path, experiment: Experiment) -> None:
 
 
 def _may_begin_at_window(experiment: Experiment) -> bool:
-    network, scenario = experiment.network, experiment.scenario
-    if not isinstance(network, PointerSettings) or network.dynamic_window or network.rays:
+    network = experiment.network
+    if not isinstance(network, PointerSettings) or network.dynamic_window:
         return False
-    return scenario.obstacles is None and scenario.detections is None
+    return network.fits_window(experiment.scenario.problem())

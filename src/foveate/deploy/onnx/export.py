@@ -140,7 +140,8 @@ def _model(experiment: Experiment, policy: Policy, opset: int) -> "tuple[ModelPr
         raise InputError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
     problem = experiment.scenario.problem()
     heuristic = None if isinstance(policy, PointerPolicy | AttentionPolicy) else type(policy).__name__
-    if problem.obstacles is not None and (heuristic or getattr(policy, "window_log_weight", None) is not None):
+    reads_map = heuristic or (isinstance(policy, PointerPolicy) and policy.window_log_weight is not None)
+    if problem.obstacles is not None and reads_map:
         raise InputError(f"{heuristic or 'the dynamic window'} reads the map: expected a scenario without obstacles")
     graph, inputs = _graph(policy, problem, opset)
     from onnx import checker, helper
