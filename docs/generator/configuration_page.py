@@ -134,7 +134,10 @@ def _text(node: ast.stmt) -> str:
 
 def _dataclasses(hint: Any) -> list[type]:
     """Return the kinds of table that a type allows; none for a plain value."""
-    return [part for part in (get_args(hint) or (hint,)) if is_dataclass(part) and isinstance(part, type)]
+    parts = get_args(hint)
+    if not parts:
+        return [hint] if is_dataclass(hint) and isinstance(hint, type) else []
+    return [kind for part in parts for kind in _dataclasses(part)]
 
 
 def _type(hint: Any) -> str:

@@ -44,9 +44,9 @@ def from_table(cls: type[T], table: dict[str, Any], where: str) -> T:
     """Return an instance of the dataclass `cls` from a table; missing keys take the class's defaults.
 
     Keys in the ClassVar `RENAMED` of a dataclass may have their old name, and those in `REMOVED`, which have lost their
-    meaning, are ignored. InputError is one line that names the source `where`, the dotted path of the key, its value
-    and what would be right: for unknown, mistyped and missing keys, numbers that are not finite, and whatever
-    `__post_init__` rejects.
+    meaning, are ignored; a static method `inherited` then completes its table. InputError is one line that names the
+    source `where`, the dotted path of the key, its value and what would be right: for unknown, mistyped and missing
+    keys, numbers that are not finite, and whatever `__post_init__` rejects.
     """
     return _record(cls, table, At(source=where))
 
@@ -90,6 +90,8 @@ def _record(cls: Any, table: Any, at: At) -> Any:
     if not isinstance(table, dict):
         raise at.invalid(table, "expected a table")
     table = _with_current_names(cls, table, at)
+    if hasattr(cls, "inherited"):
+        table = cls.inherited(table)
     hints = get_type_hints(cls)
     settable = {field.name: field for field in fields(cls) if field.init}
     for key in table:

@@ -77,6 +77,17 @@ class Problem(eqx.Module):
             return self
         return replace(self, obstacles=self.obstacles.of_map(number))
 
+    def of_robot(self, number: Count | int) -> "Problem":
+        """The problem of one robot of a team, with its own agent and sensor; itself where all are alike.
+
+        Before `at`, which chooses a step of the schedule.
+        """
+        if self.team is None or self.team.kinds is None:
+            return self
+        agent, sensor, V = self.team.kinds.of_robot(number)
+        schedule = self.schedule if V is None or self.schedule is None else replace(self.schedule, V=V)
+        return replace(self, agent=agent, sensor=sensor, schedule=schedule)
+
     def sees(
         self, pose: Pose, positions_world: Float[Array, "n d"], asked: Bool[Array, " n"] | None = None
     ) -> Bool[Array, " n"]:

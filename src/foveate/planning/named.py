@@ -1,5 +1,7 @@
 """Heuristics by their names, those that simulate their commands among them."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -8,6 +10,7 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import HEURISTICS, SEARCHERS, Assignment
 from foveate.policies.assigned import Assigned
+from foveate.policies.by_kind import by_kind
 from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
 from foveate.policies.lookahead import LookAhead
 from foveate.policies.rules import Post, Price
@@ -24,8 +27,14 @@ def heuristic_policy(
 
     Followers stop at half of `depth_m`, the depth of the view [m]. `box_world` is the low and high corner [m] of the
     box that the lawnmower sweeps, and in which the post is; None takes that of the initial beliefs, or that of the grid
-    of undetected targets.
+    of undetected targets. In a team of several kinds of robots each has the heuristic of its own limits and view, whose
+    depth is that of its kind.
     """
+    if problem.team is not None and problem.team.kinds is not None:
+        alike = replace(problem.team, kinds=None)
+        alone = (replace(problem.of_robot(i), team=alike) for i in range(len(problem.team.kinds.depth_m)))
+        depths_m = problem.team.kinds.depth_m
+        return by_kind([heuristic_policy(name, own, m, box_world) for own, m in zip(alone, depths_m, strict=True)])
     if problem.detections is not None and box_world is None:
         box_world = jnp.stack([problem.detections.grid.low, problem.detections.grid.high])
     # Half the depth keeps a target in the middle of the view, whichever way it moves.
@@ -51,7 +60,7 @@ def heuristic_policy(
 
 def heuristic_in(scenario: Scenario, name: str, box_world: Float[Array, "2 d"] | None = None) -> Policy:
     """Make a heuristic for a scenario, with the box [m] of `lawnmower` and `post`. Raises as `heuristic_policy`."""
-    return heuristic_policy(name, scenario.problem(), float(scenario.view.depth_m), box_world)
+    return heuristic_policy(name, scenario.problem(), float(scenario.of_robot(0).view.depth_m), box_world)
 
 
 def assigned_in(scenario: Scenario, policy: Policy, rule: Assignment) -> Policy:

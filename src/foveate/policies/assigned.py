@@ -22,7 +22,7 @@ from foveate.policies.rules import NATS_PER_STEP
 from foveate.policies.steering import steps_to_view
 from foveate.simulation.records import Observation, Policy
 from foveate.simulation.team.records import TeamView
-from foveate.types import Action, Key
+from foveate.types import Action, Count, Key
 
 KEEP_NATS = 2.0
 """How much better another assignment must be before a robot changes its target: less, and noise would decide."""
@@ -47,9 +47,9 @@ class Assigned(Policy):
 
     By "greedy" pairs of robot and target are taken by their distance, the nearest first. "hungarian" is the assignment
     of the least total cost, the time until a target is in view and what is known of it already, with a price for
-    changes; the costs of others are estimated from where they were heard last. In an "auction" the robots tell each
-    other their costs, and each works out who wins by the bids that it has heard. Where there are more targets than
-    robots, each gets as many as the next, or one less.
+    changes; the costs of others are estimated from where they were heard last, by their own limits and views. In an
+    "auction" the robots tell each other their costs, and each works out who wins by the bids that it has heard. Where
+    there are more targets than robots, each gets as many as the next, or one less.
     """
 
     policy: Policy
@@ -94,12 +94,17 @@ class Assigned(Policy):
 
     def _costs(self, observation: Observation, team: TeamView) -> Float[Array, "M n"]:
         """Distance [m], or price [nat], of every target for every robot, where it was heard last."""
-        problem = self.problem.at(observation.step)
-        agent, extent, positions = problem.agent, problem.sensor.view.extent, problem.motion.position(observation.mean)
-        points_body = jax.vmap(agent.space.to_body, (0, None))(team.pose, positions)
+        space, positions = self.problem.agent.space, self.problem.motion.position(observation.mean)
+        points_body = jax.vmap(space.to_body, (0, None))(team.pose, positions)
         if self.rule == "greedy":
             return jnp.linalg.norm(points_body, axis=-1)
-        steps = jax.vmap(jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point)))(points_body)
+
+        def steps_of(number: Count, points_body: Float[Array, "n d"]) -> Float[Array, "n 2"]:
+            own = self.problem.of_robot(number).at(observation.step)
+            extent = own.sensor.view.extent
+            return jax.vmap(lambda point: steps_to_view(own.agent, own.tau, extent, point))(points_body)
+
+        steps = jax.vmap(steps_of)(jnp.arange(len(team.age)), points_body)
         return log_det_spd(observation.information) + NATS_PER_STEP * jnp.sum(steps, axis=-1)
 
 

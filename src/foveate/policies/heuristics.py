@@ -3,7 +3,6 @@
 import abc
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -50,7 +49,7 @@ class Steering(Policy):
     """
 
     problem: Problem
-    standoff_m: float = eqx.field(static=True)
+    standoff_m: float
 
     @abc.abstractmethod
     def goal(self, observation: Observation, memory: Any) -> tuple[Point, Flag, Any]:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -54,7 +53,7 @@ class Post(Policy):
     """
 
     problem: Problem
-    depth_m: float = eqx.field(static=True)
+    depth_m: float
     box_world: Float[Array, "2 d"] | None = None
 
     def start(self, observation: Observation) -> Point:

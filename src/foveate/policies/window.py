@@ -6,7 +6,6 @@ agent will know about its targets.
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,7 +53,7 @@ class DynamicWindow(Policy):
     """
 
     problem: Problem
-    standoff_m: float = eqx.field(static=True)
+    standoff_m: float
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The first action of the first of the best; stand still without a target."""

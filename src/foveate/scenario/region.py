@@ -42,3 +42,13 @@ class RegionSettings(Settings):
         """The region as arrays."""
         low, high, restitution = (jnp.asarray(x, float) for x in (self.low_m, self.high_m, self.restitution))
         return Region(low, high, restitution, self.agent, self.targets)
+
+    def check(self, dimension: int, begins_with_position: bool, has_births: bool) -> None:
+        """Raise InputError unless targets can keep the borders: their states begin with positions, and none appear."""
+        require(len(self.low_m) == dimension, "region.low_m", self.low_m, f"expected {dimension} numbers, one per axis")
+        if self.targets == "free":
+            return
+        right = "expected 'free': these targets have no position at a border (Z = [I 0])"
+        require(begins_with_position, "region.targets", self.targets, right)
+        right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
+        require(not has_births, "region.targets", self.targets, right)

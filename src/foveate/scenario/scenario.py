@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +14,11 @@ from foveate.io.settings import Settings
 from foveate.io.validate import Matrix, matrix, positive, representable, require
 from foveate.models.obstacles import Obstacles
 from foveate.models.problem import Problem, Schedule
-from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.scenario.agent import AgentSettings, DifferentialDrive
 from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.field_of_view import TriangleView, ViewSettings
+from foveate.scenario.kinds import Kind, check_kinds, stacked, with_inherited
 from foveate.scenario.origin import OriginSettings
 from foveate.scenario.population import detection_model
 from foveate.scenario.random_obstacles import ObstacleSettings
@@ -51,6 +52,8 @@ class Scenario(Settings):
     detections: DetectionSettings | None = None
     team: TeamSettings | None = None
 
+    inherited = staticmethod(with_inherited)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         positive(self, "tau_s")
@@ -63,8 +66,10 @@ class Scenario(Settings):
         on_map = () if self.origin is None else self.origin.position_m
         require(len(on_map) in (0, d), "origin.position_m", on_map, f"expected {d} numbers")
         self._check_matrices()
+        self._check_kinds()
         problem = self.problem()
-        self._check_region(problem)
+        if self.region is not None:
+            self.region.check(self.dimension, problem.motion.begins_with_position, self.scenes.birth_and_death)
         self._check_obstacles(problem)
         self._check_team()
         for W in self.schedule.W:
@@ -102,26 +107,13 @@ class Scenario(Settings):
         for W in self.schedule.W:
             require(len(W) == n_y, "schedule.W", W, f"expected {n_y} x {n_y}, {of_state}")
 
-    def _check_region(self, problem: Problem) -> None:
-        """Raise InputError unless agent and targets can keep the region's borders."""
-        region, d = self.region, self.dimension
-        if region is None:
-            return
-        require(len(region.low_m) == d, "region.low_m", region.low_m, f"expected {d} numbers, one per axis")
-        if region.targets == "free":
-            return
-        name, value = "region.targets", region.targets
-        right = "expected 'free': these targets have no position at a border (Z = [I 0])"
-        require(problem.motion.begins_with_position, name, value, right)
-        right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
-        require(not self.scenes.birth_and_death, name, value, right)
-
     def _check_obstacles(self, problem: Problem) -> None:
         """Raise InputError unless the agent can keep off obstacles, if it is to, and targets can go around them."""
         obstacles = self.obstacles
         if obstacles is not None and obstacles.keep_off_m is not None:
             try:
-                problem.require_shortening()
+                for number in range(len(self._kinds)):
+                    problem.of_robot(number).require_shortening()
             except InputError as error:
                 raise InputError(f"obstacles.keep_off_m: {error}") from error
         if obstacles is None or obstacles.targets == "free":
@@ -130,6 +122,17 @@ class Scenario(Settings):
         require(problem.motion.begins_with_position, "obstacles.targets", "around", right)
         right = "expected 'free' with scenes.birth_and_death: there targets leave and enter"
         require(not self.scenes.birth_and_death, "obstacles.targets", "around", right)
+
+    def _check_kinds(self) -> None:
+        """Raise InputError unless every robot of a team fits the scenario, and the others."""
+        if self.team is None or self.team.robots is None:
+            return
+        check_kinds(self._own, self.team.robots, has_schedule=bool(self.schedule.V))
+        for i, kind in enumerate(self._kinds):
+            try:
+                self._alone(kind, obstacles=None)
+            except InputError as error:
+                raise InputError(f"team.robots[{i}]: {error}") from error
 
     def _check_team(self) -> None:
         """Raise InputError unless the beliefs of a team can be fused."""
@@ -151,13 +154,40 @@ class Scenario(Settings):
         right = f"expected obstacles in {self.dimension} dimensions, as the agent's"
         require(fits, "obstacles.kind", self.obstacles.kind, right)
         try:
-            return self.obstacles.obstacles(start_box(self.scenes, self.region), float(self.view.depth_m))
+            depth_m = max(float(kind.view.depth_m) for kind in self._kinds)
+            return self.obstacles.obstacles(start_box(self.scenes, self.region), depth_m)
         except InputError as error:
             raise InputError(f"obstacles.{error}") from error
 
     def _observation(self, Z: np.ndarray) -> np.ndarray:
         """H (rows, n_y), by default that of the position."""
         return Z if self.sensor.H is None else matrix(self.sensor.H, "sensor.H", (None, None))
+
+    @property
+    def _own(self) -> Kind:
+        return Kind(agent=self.agent, view=self.view, sensor=self.sensor)
+
+    @property
+    def _kinds(self) -> tuple[Kind, ...]:
+        """The kinds of a team's robots in order; the scenario's own where all are alike."""
+        robots = () if self.team is None else self.team.robots or ()
+        return tuple(self._own.own(robot) for robot in robots) or (self._own,)
+
+    def _alone(self, kind: Kind, **changes: Any) -> "Scenario":
+        """The scenario of a robot of a kind, in a team of robots like it; itself where all are alike."""
+        if self.team is None or self.team.robots is None:
+            return self
+        own = {"agent": kind.agent, "view": kind.view, "sensor": kind.sensor}
+        return replace(self, **own, team=replace(self.team, robots=None), **changes)
+
+    def of_robot(self, number: int) -> "Scenario":
+        """The scenario of one robot of a team, by its number from 0: agent, view and sensor are its own.
+
+        Raises InputError for a number that the team does not have.
+        """
+        last = 0 if self.team is None else self.team.agents - 1
+        require(0 <= number <= last, "robot", number, f"expected 0 to {last}, a robot of the team")
+        return self._alone(self._kinds[number % len(self._kinds)])
 
     @property
     def dimension(self) -> int:
@@ -174,28 +204,21 @@ class Scenario(Settings):
 
     def _problem(self) -> Problem:
         """The problem without detections."""
-        H = self._observation(self.target.motion(self.dimension, self.tau_s)[-1])
-        V = self.sensor.noise(len(H))
-        sensor = Sensor(
-            H=_array(H),
-            V=_array(V),
-            view=self.view.view(),
-            range_growth=0.0 if self.sensor.measures else self.sensor.range_growth_per_m,
-            frame=self.sensor.frame,
-            uses_missed_detections=self.sensor.missed_detections == "used",
-            polar=self.sensor.polar,
-        )
+        H, kinds = self._observation(self.target.motion(self.dimension, self.tau_s)[-1]), self._kinds
+        agent, sensor = kinds[0].models(H)
+        period = 0 if self.schedule.V else self.schedule.length  # a scheduled V is that of all robots
+        several = stacked(kinds, H, period) if any(kind != kinds[0] for kind in kinds) else None
         return Problem(
-            agent=self.agent.agent(),
+            agent=agent,
             sensor=sensor,
             motion=self._motion(self.tau_s),
             tau=_array(self.tau_s),
             prior_information=_array(np.linalg.inv(self.target.prior_covariance(self.dimension))),
-            schedule=self._schedule(V),
+            schedule=self._schedule(kinds[0].sensor.noise(len(H))),
             region=None if self.region is None else self.region.region(),
             keep_off_m=None if self.keep_off_m is None else _array(self.keep_off_m),
             obstacles=self._obstacles(),
-            team=None if self.team is None else self.team.team(),
+            team=None if self.team is None else self.team.team(several),
         )
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:

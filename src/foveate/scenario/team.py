@@ -6,7 +6,8 @@ import jax.numpy as jnp
 
 from foveate.io.settings import Settings
 from foveate.io.validate import at_least, require
-from foveate.models.team import Radio, Team
+from foveate.models.team import Kinds, Radio, Team
+from foveate.scenario.kinds import RobotSettings
 
 MOST_AGENTS = 1024
 """Most robots of a team: every pair has a link in every step."""
@@ -53,11 +54,11 @@ class RadioSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class TeamSettings(Settings):
-    """A team of robots like the scenario's, each with a pose and a belief of its own of all targets.
+    """A team of robots, each with a pose and a belief of its own of all targets.
 
-    All begin with the same first beliefs, and know where the others start. With `keep_off_m` they keep that distance
-    from each other, too. Scenes draw the first robot's start as a single robot's; a ring of targets is about a random
-    robot for each target.
+    All robots are like the scenario's unless `robots` are listed. All begin with the same first beliefs, and know where
+    the others start. With `keep_off_m` they keep that distance from each other, too. Scenes draw the first robot's
+    start as a single robot's; a ring of targets is about a random robot for each target.
     """
 
     agents: int
@@ -66,6 +67,8 @@ class TeamSettings(Settings):
     """Half side of the box, about the middle of the targets', in which the other robots start. Left out: they start as
     the first one does."""
     radio: RadioSettings = field(default_factory=RadioSettings)
+    robots: tuple[RobotSettings, ...] | None = None
+    """Kinds of robots, in order: where there are more agents than kinds, they repeat. Left out: all are alike."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,7 +77,13 @@ class TeamSettings(Settings):
         side = self.half_side_m
         require(side is None or min(side, default=-1) >= 0, "half_side_m", side, "expected >= 0 per axis")
 
-    def team(self) -> Team | None:
-        """The team as arrays; None of a single robot."""
+        right = f"expected 1 to agents = {self.agents} tables: fewer are repeated in order"
+        right = right if self.agents > 1 else "expected none for a single robot, which is the scenario's"
+        count = None if self.robots is None else len(self.robots)
+        require(count is None or 0 < count <= self.agents > 1, "robots", self.robots, right)
+
+    def team(self, kinds: Kinds | None = None) -> Team | None:
+        """The team as arrays, of these `kinds` of robots; None of a single robot."""
         side = None if self.half_side_m is None else jnp.asarray(self.half_side_m, float)
-        return None if self.agents == 1 else Team(agents=self.agents, radio=self.radio.radio(), half_side=side)
+        radio = self.radio.radio()
+        return None if self.agents == 1 else Team(agents=self.agents, radio=radio, half_side=side, kinds=kinds)

@@ -21,7 +21,7 @@ from foveate.simulation.draft import Draft
 from foveate.simulation.records import Episode, Instant, Observation, Protocol, State, Truth, observe
 from foveate.simulation.team import window
 from foveate.simulation.team.radio import Roster, first_roster, links, merged, own_news, views
-from foveate.simulation.team.records import TeamDraws
+from foveate.simulation.team.records import TeamDraws, TeamView
 from foveate.simulation.team.window import Beliefs, Fresh, Message, Window
 from foveate.types import Action, Count
 
@@ -88,8 +88,11 @@ def observations(
     problem: Problem, state: TeamState, predicted: State, known_input: Float[Array, "n m_y"], horizon: Count
 ) -> Observation:
     """What every robot observes, with a leading axis of M."""
-    robot, seen = Robot.of(problem), views(state.roster, predicted.step[0])
-    return jax.vmap(lambda own, view: observe(own, known_input, horizon, robot, view))(predicted, seen)
+
+    def of_robot(own: State, view: TeamView) -> Observation:
+        return observe(own, known_input, horizon, Robot.of(problem.of_robot(view.number)), view)
+
+    return jax.vmap(of_robot)(predicted, views(state.roster, predicted.step[0]))
 
 
 def act(
@@ -171,7 +174,7 @@ def _drafts(
     draws: TeamDraws,
     action: Float[Array, "M m"],
 ) -> Draft:
-    """The robots' own steps: each with noise of its own, and kept off the others."""
+    """The robots' own steps: each by its own limits, view and noise, and kept off the others."""
     truth = instant.truth
     assert truth is not None, "a team's episodes have truth"
     noise = jnp.concatenate([truth.measurement_noise[None], draws.measurement_noise])
@@ -179,11 +182,11 @@ def _drafts(
     others = jnp.arange(count)[:, None] + jnp.arange(1, count)
     mates = positions[others % count] if problem.keep_off_m is not None else None
 
-    def draft(robot: State, action: Action, noise: Array, mates: Array | None) -> Draft:
+    def draft(number: Count, robot: State, action: Action, noise: Array, mates: Array | None) -> Draft:
         own = replace(instant, truth=Truth(truth.state, noise), mates_world=mates)
-        return step.act(problem, protocol, robot, own, action)
+        return step.act(problem.of_robot(number), protocol, robot, own, action)
 
-    return jax.vmap(draft)(predicted, action, noise, mates)
+    return jax.vmap(draft)(jnp.arange(count), predicted, action, noise, mates)
 
 
 def _fresh(draft: Draft) -> Fresh:
