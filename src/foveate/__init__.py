@@ -87,6 +87,7 @@ _HOMES = {
     "replay_figure": "plotting.replay_figure",
     "ReplayResult": "recordings.results",
     "RobotPolicy": "deploy.policy",
+    "RobotSettings": "scenario.kinds",
     "rollout": "simulation.rollout",
     "RoomObstacles": "scenario.random_obstacles",
     "Row": "evaluation.rows",

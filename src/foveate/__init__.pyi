@@ -63,6 +63,7 @@ from foveate.scenario.field_of_view import PolygonView as PolygonView
 from foveate.scenario.field_of_view import PrismView as PrismView
 from foveate.scenario.field_of_view import SectorView as SectorView
 from foveate.scenario.field_of_view import TriangleView as TriangleView
+from foveate.scenario.kinds import RobotSettings as RobotSettings
 from foveate.scenario.obstacles import OccupancyObstacles as OccupancyObstacles
 from foveate.scenario.obstacles import ShapeObstacles as ShapeObstacles
 from foveate.scenario.origin import OriginSettings as OriginSettings

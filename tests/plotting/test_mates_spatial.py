@@ -18,7 +18,8 @@ HEARD[2, 0, 1] = HEARD[2, 1, 0] = HEARD[2, 2, 0] = True
 
 
 def test_every_robot_is_where_it_is_and_linked_to_whom_it_has_heard():
-    data = late_sightings(3, mates=POSES, heard=HEARD)
+    views = tuple(tuple(scale * line for line in late_sightings(3).outline) for scale in (2.0, 0.5))
+    data = late_sightings(3, mates=POSES, heard=HEARD, mate_outlines=views)
     box = limits([data])
     assert np.all((box[0] <= POSES[..., :3, 3]) & (POSES[..., :3, 3] <= box[1]))
     scene = SpatialScene(new_figure(3.0, 3.0).add_subplot(axes_class=SpatialScene.axes_class), data, box)
@@ -29,7 +30,7 @@ def test_every_robot_is_where_it_is_and_linked_to_whom_it_has_heard():
         nose = pose[:3, :3] @ (scene.size * DART[0]) + pose[:3, 3]
         np.testing.assert_allclose(np.asarray(mates.bodies[i]._faces)[0, 0], nose, atol=1e-9)
         np.testing.assert_allclose(np.array(mates.paths[i].get_data_3d()).T[-1], pose[:3, 3], atol=1e-9)
-        corner = pose[:3, :3] @ data.outline[0][1] + pose[:3, 3]
+        corner = pose[:3, :3] @ views[i][0][1] + pose[:3, 3]
         np.testing.assert_allclose(np.asarray(mates.edges[i]._segments3d[0])[1], corner, atol=1e-9)
     places = [data.pose[3, :3, 3], *POSES[3, :, :3, 3]]
     np.testing.assert_allclose(np.array(mates.both.get_data_3d()).T[:2], [places[0], places[1]])

@@ -1,6 +1,7 @@
 """Shares of the targets: all of them, each once, evenly; and robots that hear nothing may disagree."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -15,6 +16,9 @@ from foveate.experiment.resolve import methods_of
 from foveate.planning.named import assigned_in, heuristic_in
 from foveate.policies.assigned import KEEP_NATS, shares
 from foveate.policies.rules import priced
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.field_of_view import TriangleView
+from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.team import TeamSettings
@@ -66,6 +70,27 @@ def test_hungarian_equals_scipy_on_the_price_of_every_robot(observed):
     for rule in ("hungarian", "auction"):
         targets = assigned(observed, rule)[0]
         assert cost[targets].sum() == pytest.approx(cost[rows, columns].sum())
+
+
+def test_hungarian_goes_by_the_limits_and_view_of_every_robot():
+    """A price, as scipy assigns it, is that of each robot alone; what a quick robot is given depends on its mates."""
+    quick = RobotSettings(agent=DifferentialDrive(v_max_m_s=12.0), view=TriangleView(depth_m=4.0, angle_deg=90.0))
+    mixed = replace(SCENARIO, team=replace(SCENARIO.team, robots=(RobotSettings(), quick, RobotSettings())))
+    problem, draw = mixed.problem(), partial(training_episode, SCENARIO.problem(), SCENARIO.scenes, noise=True)
+    observe = jax.jit(lambda episode: first_observations(problem, episode, TRUE))
+    own = [jax.jit(partial(priced, mixed.of_robot(m).problem())) for m in range(M)]
+    differs = 0
+    for seed in range(8):
+        seen = observe(draw(key=jax.random.key(seed)))
+        cost = np.stack([own[m](jax.tree.map(lambda x, m=m: x[m], seen)) for m in range(M)])
+        rows, columns = linear_sum_assignment(cost)
+        for rule in ("hungarian", "auction"):
+            policy = assigned_in(mixed, heuristic_in(mixed, "nearest"), rule)
+            targets = np.asarray(jax.jit(jax.vmap(policy.start))(seen).targets)
+            assert cost[targets].sum() == pytest.approx(cost[rows, columns].sum())
+        alike = np.asarray(assigned((SCENARIO.problem(), seen), "hungarian", seen)[0])
+        differs += bool((alike != targets).any())
+    assert differs > 0
 
 
 def test_greedy_takes_the_nearest_pair(observed):

@@ -49,7 +49,7 @@ def suits_quick_compilation(problem: Problem) -> bool:
 
 def warn_of_rounding(problem: Problem, steps: int) -> None:
     """Log a warning if beliefs about targets unseen for up to `steps` lose digits that matter in this precision."""
-    lost_nat, unseen = rounding_error(problem, steps)
+    lost_nat, unseen = max(rounding_error(own, steps) for own in problem.kinds)
     if lost_nat <= TOLERATED_NAT:
         return
     name = str(problem.motion.A.dtype)

@@ -88,6 +88,14 @@ class Problem(eqx.Module):
         schedule = self.schedule if V is None or self.schedule is None else replace(self.schedule, V=V)
         return replace(self, agent=agent, sensor=sensor, schedule=schedule)
 
+    @property
+    def kinds(self) -> tuple["Problem", ...]:
+        """The problem of each kind of robot, all of its team like it; itself where all are alike."""
+        if self.team is None or self.team.kinds is None:
+            return (self,)
+        alike = replace(self.team, kinds=None)
+        return tuple(replace(self.of_robot(i), team=alike) for i in range(len(self.team.kinds.depth_m)))
+
     def sees(
         self, pose: Pose, positions_world: Float[Array, "n d"], asked: Bool[Array, " n"] | None = None
     ) -> Bool[Array, " n"]:

@@ -1,7 +1,5 @@
 """Heuristics by their names, those that simulate their commands among them."""
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -31,10 +29,9 @@ def heuristic_policy(
     depth is that of its kind.
     """
     if problem.team is not None and problem.team.kinds is not None:
-        alike = replace(problem.team, kinds=None)
-        alone = (replace(problem.of_robot(i), team=alike) for i in range(len(problem.team.kinds.depth_m)))
         depths_m = problem.team.kinds.depth_m
-        return by_kind([heuristic_policy(name, own, m, box_world) for own, m in zip(alone, depths_m, strict=True)])
+        own = (heuristic_policy(name, *each, box_world) for each in zip(problem.kinds, depths_m, strict=True))
+        return by_kind(tuple(own))
     if problem.detections is not None and box_world is None:
         box_world = jnp.stack([problem.detections.grid.low, problem.detections.grid.high])
     # Half the depth keeps a target in the middle of the view, whichever way it moves.

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
+from foveate.geometry.fov import FieldOfView
 from foveate.models.gate import gate_limit
 
 CIRCLE = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 49)), np.sin(t)], axis=-1)
@@ -87,6 +88,12 @@ def lifted(points: Float[np.ndarray, "*m d"], height: float = 0.0) -> Float[np.n
     if points.shape[-1] == 3:
         return points
     return np.concatenate([points, np.full((*points.shape[:-1], 1), height)], axis=-1)
+
+
+def borders(view: FieldOfView) -> tuple[Float[np.ndarray, "_ d"], ...]:
+    """Lines of a field of view in the body frame [m]: one in the plane, several in space."""
+    outline = view.outline()
+    return tuple(np.asarray(line, float) for line in ([outline] if isinstance(outline, np.ndarray) else outline))
 
 
 def faces(outline: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "_ 3"]]:

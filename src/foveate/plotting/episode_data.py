@@ -15,6 +15,7 @@ from foveate.geometry.distance_grid import Nodes
 from foveate.geometry.numpy_poses import arc
 from foveate.geometry.space import Space
 from foveate.models.problem import Problem
+from foveate.plotting.ellipsoids import borders
 from foveate.plotting.track_data import TrackData, intensities, track_data
 from foveate.plotting.walls import walls_of
 from foveate.simulation.records import PROTOCOLS, Policy, Trace
@@ -33,8 +34,9 @@ class EpisodeData:
     `pose` is as in `space`, `truth` and `estimate` are positions, `covariance` that of the estimated position;
     `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false, the other entries of a target mean
     nothing. There is a belief a target, b = n, unless beliefs are `tracks` of detections without ids. `outline`: the
-    view's border(s) in the body frame; `walls`: distances to obstacles; `mates`: poses of further robots; `heard`: whom
-    each robot (rows) has heard. A *moment* counts SUBSTEPS to a step from the start.
+    view's border(s) in the body frame; `walls`: distances to obstacles; `mates`: poses of further robots, and their
+    views where these differ (`mate_outlines`); `heard`: whom each robot (rows) has heard. A *moment* counts SUBSTEPS to
+    a step from the start.
     """
 
     title: str
@@ -52,6 +54,7 @@ class EpisodeData:
     """Lower and upper corner of the region with borders, if the world has one."""
     walls: Nodes | None = None
     mates: Float[np.ndarray, "instants mates ..."] | None = None
+    mate_outlines: tuple[tuple[Float[np.ndarray, "_ d"], ...], ...] | None = None
     heard: Bool[np.ndarray, "steps M M"] | None = None
     tracks: TrackData | None = None
 
@@ -64,6 +67,11 @@ class EpisodeData:
         """Poses of all robots, the first one's first."""
         own = self.pose[:, None]
         return own if self.mates is None else np.concatenate([own, self.mates], axis=1)
+
+    @property
+    def outlines(self) -> tuple[tuple[Float[np.ndarray, "_ d"], ...], ...]:
+        """Borders of the views of all robots, the first one's first."""
+        return self.outline, *(self.mate_outlines or (self.outline,) * (self.poses.shape[1] - 1))
 
     @property
     def steps(self) -> int:
@@ -154,7 +162,6 @@ def state_data(
     # The information matrix of an absent target means nothing, and may be singular.
     exists = present if tracks is None else tracks.existence > 0
     information = np.where(exists[..., None, None], information, np.eye(Z.shape[1]))
-    outline = problem.sensor.view.outline()
     return EpisodeData(
         title=title,
         space=problem.agent.space,
@@ -166,7 +173,7 @@ def state_data(
         estimate=mean @ Z.T,
         covariance=Z @ np.linalg.inv(information) @ Z.T,
         present=present,
-        outline=tuple(np.asarray(line, float) for line in ([outline] if isinstance(outline, np.ndarray) else outline)),
+        outline=borders(problem.sensor.view),
         region=None if problem.region is None else np.array([problem.region.low, problem.region.high], float),
         walls=walls_of(problem),
         tracks=tracks,
@@ -214,8 +221,9 @@ def episode_data(
     )
     if trace.team is None:
         return data
-    mates = np.asarray(trace.team.pose, float)[: horizon + 1, 1:]
-    return replace(data, mates=mates, heard=np.asarray(trace.team.heard)[:horizon])
+    mates, heard = np.asarray(trace.team.pose, float)[: horizon + 1, 1:], np.asarray(trace.team.heard)[:horizon]
+    outlines = tuple(borders(problem.of_robot(1 + i).sensor.view) for i in range(mates.shape[1]))
+    return replace(data, mates=mates, mate_outlines=outlines, heard=heard)
 
 
 def suite_data(suite: Suite, policy: Policy, protocol: str, name: str) -> list[EpisodeData]:

@@ -31,7 +31,8 @@ class Mates:
         self.arcs = [arc(poses, SUBSTEPS) for poses in np.moveaxis(data.mates, 1, 0)]
         blank = np.zeros((3, 2))
         style: dict[str, Any] = {"facecolor": SKY + "33", "edgecolor": BLUE, "lw": 0.5 * scale, "zorder": 1}
-        self.views = [[Polygon(blank, **style) for _ in data.outline] for _ in self.arcs]
+        self.outlines = data.outlines[1:]
+        self.views = [[Polygon(blank, **style) for _ in outline] for outline in self.outlines]
         body: dict[str, Any] = {"facecolor": BLUE, "edgecolor": "white", "lw": 0.4 * scale, "zorder": 8}
         self.bodies = [Polygon(blank, **body) for _ in self.arcs]
         self.paths = [axes.add_line(Line2D([], [], color=BLUE, lw=0.8 * scale, zorder=2)) for _ in self.arcs]
@@ -50,12 +51,12 @@ class Mates:
         step = moment // SUBSTEPS
         begin = 0 if self.trail is None else max(0, step - self.trail) * SUBSTEPS
         poses = [first, *(course[moment] for course in self.arcs)]
-        for pose, course, views, body, path in zip(
-            poses[1:], self.arcs, self.views, self.bodies, self.paths, strict=True
+        for pose, course, views, outline, body, path in zip(
+            poses[1:], self.arcs, self.views, self.outlines, self.bodies, self.paths, strict=True
         ):
             path.set_data(*positions(course[begin : moment + 1]).T)
             body.set_xy(placed(pose, self.size * self.kite))
-            for view, border in zip(views, self.data.outline, strict=True):
+            for view, border in zip(views, outline, strict=True):
                 walls = self.data.walls
                 view.set_xy(placed(pose, border) if walls is None else lit(walls, pose, border))
         both, one = links(self.data, np.stack(poses), moment)

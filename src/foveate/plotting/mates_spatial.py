@@ -42,10 +42,12 @@ class SpatialMates:
     def show(self, first: Float[np.ndarray, "4 4"], moment: int) -> None:
         """Move to a moment, at which the first robot has a pose."""
         begin = 0 if self.trail is None else max(0, moment // SUBSTEPS - self.trail) * SUBSTEPS
-        for course, edges, body, path in zip(self.arcs, self.edges, self.bodies, self.paths, strict=True):
+        for course, outline, edges, body, path in zip(
+            self.arcs, self.data.outlines[1:], self.edges, self.bodies, self.paths, strict=True
+        ):
             pose = course[moment]
             path.set_data_3d(*positions(course[begin : moment + 1]).T)
-            edges.set_segments([placed(pose, border) for border in self.data.outline])
+            edges.set_segments([placed(pose, border) for border in outline])
             body.set_verts([placed(pose, self.size * DART[list(face)]) for face in DART_FACES])
         both, one = links(self.data, np.stack([first, *(course[moment] for course in self.arcs)]), moment)
         self.both.set_data_3d(*both.T)

@@ -39,8 +39,8 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
     core, first, later = [], [], []
     for data in episodes:
         core.append(data.truth[data.present])
-        poses = data.poses.reshape(-1, *data.pose.shape[1:])
-        core += [placed(pose, line) for pose in poses for line in data.outline]
+        for course, outline in zip(np.moveaxis(data.poses, 1, 0), data.outlines, strict=True):
+            core += [placed(pose, line) for pose in course for line in outline]
         for part, beliefs in ((slice(1), first), (slice(1, None), later)):
             shown = data.believed[part]
             beliefs.append(ellipses(data.estimate[part][shown], data.covariance[part][shown]).reshape(-1, 2))

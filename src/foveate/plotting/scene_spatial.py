@@ -49,14 +49,16 @@ def limits(episodes: Sequence[EpisodeData], margin: float = 0.04) -> Float[np.nd
     for data in episodes:
         poses = data.poses.reshape(-1, *data.pose.shape[1:])
         core += [data.truth[data.present], positions(poses)]
-        soft += [placed(pose, line) for pose in poses for line in data.outline]
+        for course, outline in zip(np.moveaxis(data.poses, 1, 0), data.outlines, strict=True):
+            soft += [placed(pose, line) for pose in course for line in outline]
         mean, covariance = data.estimate[data.believed], data.covariance[data.believed]
         width = half_widths(covariance)
         soft += [mean - width * [1, 1, 0], mean + width]
     points, more = np.concatenate(core), np.concatenate([*core, *soft])
     low, high = points.min(axis=0), points.max(axis=0)
     extent = (high - low).max()
-    depth = max((np.linalg.norm(line, axis=1).max() for data in episodes for line in data.outline), default=0.0)
+    borders = [line for data in episodes for outline in data.outlines for line in outline]
+    depth = max((np.linalg.norm(line, axis=1).max() for line in borders), default=0.0)
     reach = max(0.15 * extent, depth - extent / 2)
     low = np.minimum(low, np.maximum(more.min(axis=0), low - reach))
     high = np.maximum(high, np.minimum(more.max(axis=0), high + reach))

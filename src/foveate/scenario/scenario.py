@@ -112,8 +112,8 @@ class Scenario(Settings):
         obstacles = self.obstacles
         if obstacles is not None and obstacles.keep_off_m is not None:
             try:
-                for number in range(len(self._kinds)):
-                    problem.of_robot(number).require_shortening()
+                for own in problem.kinds:
+                    own.require_shortening()
             except InputError as error:
                 raise InputError(f"obstacles.keep_off_m: {error}") from error
         if obstacles is None or obstacles.targets == "free":

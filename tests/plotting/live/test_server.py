@@ -158,8 +158,8 @@ def test_meshes():
         a, b, c = mesh[0][mesh[1]].swapaxes(0, 1)
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum()
 
-    assert area(primitives.view_mesh(late_sightings())) == pytest.approx(6.0)
-    assert area(primitives.view_mesh(late_sightings(3))) == pytest.approx(4.0)
+    assert area(primitives.view_mesh(late_sightings().outline)) == pytest.approx(6.0)
+    assert area(primitives.view_mesh(late_sightings(3).outline)) == pytest.approx(4.0)
     assert area(primitives.disc()) == pytest.approx(24 * np.sin(2 * np.pi / 48))
     assert area(primitives.ball()) == pytest.approx(4 * np.pi, rel=0.02)
     angle = np.linspace(-2.0, 2.0, 65)  # a sector of more than half a turn, from its apex

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.teams import kalman, known_measurements, measurement
 from scipy.stats import chi2
 
 from foveate.errors import InputError
@@ -53,42 +54,6 @@ def play(scenario, protocol=TRUE, seed=0):
 
     episode, trace = jax.jit(run)(jax.random.key(seed))
     return problem, *jax.tree.map(np.asarray, (episode, trace))
-
-
-def known_measurements(trace, delay):
-    """Sets of (step, source) that each robot has heard of after each step, by gossip."""
-    known, sent, after = [set() for _ in range(M)], [], []
-    for k in range(K):
-        known = [own | {(k, m)} for m, own in enumerate(known)]
-        nobody = np.zeros((M, M), bool), known
-        heard, senders = (trace.team.heard[k], known) if delay == 0 else sent[k - delay] if k >= delay else nobody
-        known = [known[i].union(*(senders[j] for j in range(M) if heard[i, j])) for i in range(M)]
-        sent.append((trace.team.heard[k], list(known)))
-        after.append(list(known))
-    return after
-
-
-def kalman(problem, episode, trace, measured, last, target):
-    """Textbook filter of one target, of the measurements (step, source) up to a step: mean and covariance."""
-    A, W, H = (np.asarray(x) for x in (problem.motion.A, problem.motion.W, problem.sensor.H))
-    mean, P = np.asarray(episode.mean[target]), np.linalg.inv(problem.prior_information)
-    for k in range(last + 1):
-        mean, P = A @ mean, A @ P @ A.T + W
-        for m in sorted(source for step, source in measured if step == k):
-            if not trace.team.visible[k, m, target]:
-                continue
-            z, V = measurement(problem, episode, trace, k, m, target)
-            gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
-            mean, P = mean + gain @ (z - H @ mean), P - gain @ H @ P
-    return mean, P
-
-
-def measurement(problem, episode, trace, k, m, target):
-    """What robot m measures in step k, and its covariance."""
-    state = episode.truth.state[k + 1, target]
-    own = episode.truth.measurement_noise[k, target] if m == 0 else episode.team.measurement_noise[k, m - 1, target]
-    V = np.asarray(problem.sensor.V)
-    return problem.sensor.H @ state + np.linalg.cholesky(V) @ own, V
 
 
 SILENT = RadioSettings(loss=1.0)

@@ -9,7 +9,7 @@ from foveate.geometry.numpy_poses import arc, positions, rotation
 from foveate.io.figures import BLUE, GREY, SKY
 from foveate.plotting.ellipsoids import lifted
 from foveate.plotting.episode_data import SUBSTEPS, TRAIL_STEPS, EpisodeData
-from foveate.plotting.live.primitives import Mesh, add_line, color, quaternion, segments, set_segments
+from foveate.plotting.live.primitives import add_line, color, quaternion, segments, set_segments, view_mesh
 from foveate.plotting.mates import links
 from foveate.plotting.mates_spatial import DART, DART_FACES
 
@@ -17,14 +17,15 @@ DASHES = 12
 """Dashes of a line between two robots of which only one has heard the other."""
 
 
-def add_robot(scene: Any, name: str, data: EpisodeData, view: Mesh, size: float) -> Any:
+def add_robot(scene: Any, name: str, data: EpisodeData, number: int, size: float) -> Any:
     """Add a robot with its body of a size [m] and its view; return its frame, which moves both."""
     frame = scene.add_frame(name, show_axes=False)
-    planar = data.space.dimension == 2
+    planar, outline = data.space.dimension == 2, data.outlines[number]
+    view = view_mesh(outline)
     if len(view[1]):
         glass: dict[str, Any] = {"side": "double", "cast_shadow": False, "opacity": 0.25 if planar else 0.12}
         scene.add_mesh_simple(f"{name}/view", *view, color=color(SKY), **glass)
-    lines = np.concatenate([segments(lifted(line)) for line in data.outline])
+    lines = np.concatenate([segments(lifted(line)) for line in outline])
     add_line(scene, f"{name}/border", BLUE, 1.5, lines)
     body = size * DART, np.array(DART_FACES)
     scene.add_mesh_simple(f"{name}/body", *body, color=color(BLUE), side="double", flat_shading=True)
@@ -38,11 +39,11 @@ class LiveMates:
     of a planar layer [m].
     """
 
-    def __init__(self, scene: Any, data: EpisodeData, view: Mesh, size: float, layer: float) -> None:
+    def __init__(self, scene: Any, data: EpisodeData, size: float, layer: float) -> None:
         assert data.mates is not None, "of a team's episodes"
         self._data, self._layer = data, layer
         self._arcs = [arc(poses, SUBSTEPS) for poses in np.moveaxis(data.mates, 1, 0)]
-        self._robots = [add_robot(scene, f"/mate/{i}", data, view, size) for i in range(len(self._arcs))]
+        self._robots = [add_robot(scene, f"/mate/{i}", data, 1 + i, size) for i in range(len(self._arcs))]
         self._paths = add_line(scene, "/mates/paths", BLUE, 1.5)
         self._links = add_line(scene, "/mates/heard", GREY, 2.0)
 

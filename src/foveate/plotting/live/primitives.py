@@ -9,7 +9,6 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from foveate.plotting.ellipsoids import CIRCLE, faces, is_closed, lifted, principal_axes
-from foveate.plotting.episode_data import EpisodeData
 
 NO_SEGMENTS = np.zeros((1, 2, 3))
 """Line of no length: viser accepts no empty one."""
@@ -68,10 +67,11 @@ def _fan(points: Float[np.ndarray, "n 3"], middle: Float[np.ndarray, "3"]) -> Me
     return np.concatenate([points, [middle]]), np.stack([np.full(n - 1, n), np.arange(n - 1), np.arange(1, n)], axis=-1)
 
 
-def view_mesh(data: EpisodeData) -> Mesh:
-    """Mesh of the faces of the field of view in the body frame."""
+def view_mesh(outline: Sequence[Float[np.ndarray, "_ d"]]) -> Mesh:
+    """Mesh of the faces of a field of view in the body frame, of its borders."""
     vertices, triangles = np.zeros((0, 3)), np.zeros((0, 3), int)
-    for line in faces(data.outline) if data.space.dimension == 3 else data.outline:
+    is_planar = all(line.shape[1] == 2 for line in outline)
+    for line in outline if is_planar else faces(outline):
         corners, parts = fan(line if is_closed(line) else np.concatenate([line, line[:1]]))
         triangles = np.concatenate([triangles, parts + len(vertices)])
         vertices = np.concatenate([vertices, corners])

@@ -22,7 +22,6 @@ from foveate.plotting.live.primitives import (
     segments,
     set_segments,
     turn_and_scale,
-    view_mesh,
 )
 from foveate.plotting.scene import AGENT, BORDER, SEEN, UNSEEN
 from foveate.plotting.scene_spatial import scene_class
@@ -58,9 +57,8 @@ class LiveScene:
         self._map, self._pictures = _map(scene, data, float(self.box[0, 2]) - 0.0005 * extent)
         if data.walls is not None:
             add_line(scene, "/walls", WALL, 2.5, np.concatenate([segments(lifted(loop)) for loop in loops(data.walls)]))
-        view = view_mesh(data)
-        self._agent = add_robot(scene, "/agent", data, view, self.size)
-        self._mates = None if data.mates is None else LiveMates(scene, data, view, self.size, LAYER * self.size)
+        self._agent = add_robot(scene, "/agent", data, 0, self.size)
+        self._mates = None if data.mates is None else LiveMates(scene, data, self.size, LAYER * self.size)
         glass: dict[str, Any] = {"side": "double", "cast_shadow": False}
         self._path, self._trails = add_line(scene, "/path", AGENT, 2.5), add_line(scene, "/trails", GREY, 1.5)
         if data.region is not None:
