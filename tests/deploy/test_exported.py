@@ -152,3 +152,30 @@ def test_commands_take_a_file(tmp_path):
     assert len(found[0]) == 2
     for one, other in zip(*found, strict=True):
         assert one["score"] == pytest.approx(other["score"], abs=1e-3)
+
+
+def test_a_file_is_for_one_kind_of_robot_of_a_team(tmp_path, capsys):
+    """With --robot the file decides as that robot's policy in JAX; without, a team of different kinds has no file."""
+    (tmp_path / "team.toml").write_text(
+        '[scenario.view]\nshape = "sector"\ndepth_m = 6.0\n[scenario.team]\nagents = 2\n'
+        "[[scenario.team.robots]]\n[[scenario.team.robots]]\nview = { depth_m = 2.0 }\nagent = { v_max_m_s = 1.0 }\n"
+    )
+    run, out = f"any@{tmp_path / 'team.toml'}", str(tmp_path / "robot.onnx")
+    assert main(["export", run, out]) == 2
+    error = capsys.readouterr().err.strip()
+    assert error.endswith("expected the scenario of one robot: Scenario.of_robot(number), or --robot NUMBER")
+    assert len(error.splitlines()) == 1
+    assert main(["export", run, out, "--robot", "1"]) == 0
+    policy = foveate.load(run)
+    example, own = runpy.run_path(str(EXAMPLE))["OnnxPolicy"](out), policy.for_robot(1)
+    assert own.scenario == policy.scenario.of_robot(1)
+    pose, mean, covariance = (
+        np.array([1.0, 2.0, 0.5]),
+        np.array([[4.0, 6.0], [4.0, 2.0]]),
+        np.tile(np.eye(2), (2, 1, 1)),
+    )
+    expected = own(own.predict(foveate.Belief(mean, covariance=covariance)), pose)
+    np.testing.assert_allclose(list(example(pose, mean, covariance).values()), expected, atol=1e-5)
+    assert expected[0] <= 1.0
+    assert main(["export", run, out, "--robot", "2"]) == 2
+    assert "robot = 2: expected 0 to 1, a robot of the team" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.episodes import training_episode
+from helpers.rejections import assert_rejected
 
 import foveate
 from foveate.names import HEURISTICS
@@ -153,3 +154,20 @@ def test_a_decision_is_in_the_map_of_the_robot():
             policy(NOW, [8.0, 8.0, 0.0], map_number=wrong)
     with pytest.raises(foveate.InputError, match="map_number = 0: expected None without obstacles"):
         foveate.heuristic("nearest", SCENARIO)(NOW, [0.0, 0.0, 0.0], map_number=0)
+
+
+def test_every_robot_of_a_team_has_a_policy_of_its_own():
+    """The heuristic of a robot of a team decides as that of its own scenario; that of all robots decides for none."""
+    far = foveate.RobotSettings(view=foveate.TriangleView(depth_m=6.0), agent=foveate.DifferentialDrive(v_max_m_s=1.0))
+    team = replace(SCENARIO, team=foveate.TeamSettings(agents=3, robots=(foveate.RobotSettings(), far)))
+    policy, pose = foveate.heuristic("window", team), [-3.0, 0.0, 0.0]
+    commands = []
+    for number in range(3):
+        own, alone = policy.for_robot(number), foveate.heuristic("window", team.of_robot(number))
+        commands.append(own(NOW, pose))
+        np.testing.assert_allclose(commands[-1], alone(NOW, pose), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(commands[0], commands[2])
+    assert np.abs(commands[0] - commands[1]).max() > 0.1
+    assert_rejected(lambda: policy(NOW, pose), "scenario.team.robots: expected the scenario of one robot")
+    assert_rejected(lambda: foveate.Tracker(team), "scenario.team.robots: expected the scenario of one robot")
+    assert_rejected(lambda: policy.for_robot(3), "robot = 3: expected 0 to 2")

@@ -10,6 +10,8 @@ pettingzoo = pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test  # noqa: E402
 
 from foveate.gym.parallel import TeamEnv  # noqa: E402
+from foveate.scenario.agent import DifferentialDrive  # noqa: E402
+from foveate.scenario.kinds import RobotSettings  # noqa: E402
 from foveate.scenario.scenario import Scenario  # noqa: E402
 from foveate.scenario.scenes import SceneSettings  # noqa: E402
 from foveate.scenario.team import RadioSettings, TeamSettings  # noqa: E402
@@ -52,6 +54,20 @@ def test_rewards_sum_to_the_growth_of_the_score(env):
     # What all have measured together is worth at least what any of them knows.
     assert first + total >= max(info["score"] for info in infos.values()) - 1e-4
     assert env.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_robots_of_different_kinds_move_by_their_own_limits():
+    """At full speed ahead each is as far as its own limit allows, as the others see it by an unlimited radio."""
+    kinds = tuple(RobotSettings(agent=DifferentialDrive(v_max_m_s=speed)) for speed in (1.0, 4.0))
+    scenes = replace(SCENARIO.scenes, agent_half_side_m=(0.0, 0.0), agent_centre_m=(0.0, 0.0))
+    env = TeamEnv(replace(SCENARIO, scenes=scenes, team=TeamSettings(agents=3, robots=kinds)))
+    env.reset(seed=1)
+    ahead = {name: np.array([1.0, 0.0], np.float32) for name in env.agents}
+    seen = env.step(ahead)[0]
+    depth_m = SCENARIO.view.depth_m
+    # All start at one place: robot_0 is 1 m from there along its own axis, and the others 4 m and 1 m along theirs.
+    distances = np.linalg.norm(depth_m * seen["robot_0"]["mates"][:, :2] + [1.0, 0.0], axis=-1)
+    np.testing.assert_allclose(distances, [4.0, 1.0], atol=1e-5)
 
 
 def test_what_is_missing_is_said(env):

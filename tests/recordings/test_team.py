@@ -15,6 +15,7 @@ from foveate.recordings.compare import replay
 from foveate.recordings.replay import drive, prepare_replay
 from foveate.recordings.starts import agent_starts, default_agent_start, random_agent_starts
 from foveate.ros.bag import write_bag
+from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.team import RadioSettings, TeamSettings
 
 POSES = (0.0, 0.0, 0.0), (2.0, 5.0, -1.5), (-2.0, -1.0, 3.0)
@@ -31,12 +32,12 @@ def still(scenario, recording, start, gate=0.9999):
     return ready, *drive(ready, "still", heuristic_policy("still", ready.problem, DEPTH))
 
 
-def inside(pose, position):
+def inside(pose, position, depth_m=DEPTH):
     """In the sector ahead of a robot."""
     x, y, yaw = pose
     away = math.hypot(position[0] - x, position[1] - y)
     turn = math.atan2(position[1] - y, position[0] - x) - yaw
-    return away <= DEPTH and abs(math.degrees(math.remainder(turn, 2 * math.pi))) <= ANGLE / 2
+    return away <= depth_m and abs(math.degrees(math.remainder(turn, 2 * math.pi))) <= ANGLE / 2
 
 
 def test_without_a_radio_the_first_robot_is_alone(scenario, recording):
@@ -73,6 +74,20 @@ def test_robots_with_a_radio_know_what_all_have_seen(scenario, recording):
     begins = slots.present[1:] & ~slots.present[:-1]
     np.testing.assert_allclose(trace.information[1:][begins], np.eye(2) / 2.0 * np.ones((begins.sum(), 1, 1)))
     np.testing.assert_allclose(trace.team.log_det[begins.any(axis=1)][:, 0][begins[begins.any(axis=1)]], -2 * np.log(2))
+
+
+def test_robots_of_different_kinds_see_by_their_own_views(scenario, recording):
+    """A second robot that sees half as far: its share of the time follows from where the targets are."""
+    short = RobotSettings(view=replace(scenario.view, depth_m=DEPTH / 2))
+    mixed = replace(scenario, team=TeamSettings(agents=3, robots=(RobotSettings(), short)))
+    ready, row, _ = still(mixed, recording, ALL)
+    slots = ready.slots
+    counted = slots.present[1:] & slots.present[:-1]
+    for pose, depth_m, own in zip(POSES, (DEPTH, DEPTH / 2, DEPTH), row.robots, strict=True):
+        seen = np.array([[inside(pose, p, depth_m) for p in each] for each in slots.positions_m[1:]])
+        assert own.seen_time_fraction == pytest.approx(seen[counted].mean())
+    alike = still(team_of(scenario, PERFECT), recording, ALL)[1]
+    assert row.robots[1].seen_time_fraction < alike.robots[1].seen_time_fraction
 
 
 def test_the_others_start_at_random_places_or_where_they_are_told(scenario, recording):

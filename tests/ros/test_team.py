@@ -11,6 +11,9 @@ from foveate.errors import InputError
 from foveate.experiment.presets import PRESETS
 from foveate.ros.core import CoreSettings
 from foveate.ros.team import TeamCore
+from foveate.scenario.kinds import RobotSettings
+from foveate.scenario.sensor import SensorSettings
+from foveate.scenario.team import TeamSettings
 
 NOW = 1_760_000_000.0
 V, RATE = 0.1**2, 0.2**2 / 0.5
@@ -109,6 +112,42 @@ def test_the_noise_is_that_of_the_robot_that_has_measured():
     np.testing.assert_allclose(np.diag(covariance), 1 / information, rtol=0.02)
 
 
+def test_robots_of_different_kinds_fuse_with_the_noise_of_the_sender():
+    """Three robots with standard deviations of 0.1, 0.4 and 0.1 m; the third hears of the second by the first alone."""
+    vague = RobotSettings(sensor=SensorSettings(std_m=0.4))
+    mixed = replace(PLANE, team=TeamSettings(agents=3, robots=(RobotSettings(), vague)))
+    cores = [TeamCore(Watched(mixed.of_robot(i)).core.model, CoreSettings(), f"r{i}") for i in range(3)]
+    measured = [(3.0, 1.0), (3.6, 0.4), (3.1, 1.1)]
+    for core, (x, y) in zip(cores, measured, strict=True):
+        looks(core, NOW, a=(x, y, 0))
+    first, second, third = cores
+    assert first.on_message(second.message(NOW), NOW) is None
+    assert third.on_message(first.message(NOW), NOW) is None
+    for core in (first, second):
+        assert core.on_message(third.message(NOW), NOW) is None
+    assert second.on_message(first.message(NOW), NOW) is None
+    weights = np.array([0.1, 0.4, 0.1]) ** -2.0
+    for core in cores:
+        mean, covariance = belief(core, NOW)
+        np.testing.assert_allclose(mean, weights @ np.array(measured) / weights.sum(), atol=1e-6)
+        np.testing.assert_allclose(covariance, np.eye(2) / weights.sum(), rtol=1e-5)
+    with pytest.raises(InputError, match=r"team\.robots: expected the scenario of one robot"):
+        Watched(mixed)
+
+
+def test_a_message_without_a_noise_has_that_of_the_own_sensor():
+    core = robot("r1")
+    assert core.on_message(rows({}), NOW) is None
+    check(core, [(NOW, 3, 1)], NOW)
+
+
+@pytest.mark.parametrize("V", [[[1.0]], [[1.0, 0.0], [0.0, -1.0]], [[1.0, 2.0], [0.0, 1.0]]])
+def test_a_noise_that_is_no_covariance_is_left_out_with_a_reason(V):
+    core = robot("r1")
+    assert core.on_message(rows({"V": V}), NOW).startswith("team: r2: V = ")
+    assert core.decide(NOW).estimates == ()
+
+
 def test_what_the_gate_rejects_is_not_told():
     core = robot("r1")
     for k in range(5):
@@ -146,6 +185,7 @@ def message(**changes):
         ({"measurements": [{**message()[1], "positions": {"a": [1, 2]}}]}, "lacks a field"),
         ({"measurements": [{**message()[1], "positions": []}]}, "lacks a field"),
         ({"measurements": [{**message()[1], "time_s": 10**400}]}, "lacks a field"),
+        ({"measurements": [{**message()[1], "V": "wide"}]}, "lacks a field"),
         ({"measurements": [{**message()[1], "pose": [10**400, 0, 0, 0, 0, 0, 1]}]}, "lacks a field"),
         ({"measurements": [{**message()[1], "pose": [1e12, 0, 0, 0, 0, 0, 1]}]}, "team: r2: "),
     ],

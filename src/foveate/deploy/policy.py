@@ -26,6 +26,7 @@ from foveate.io.validate import require
 from foveate.models.obstacles import Obstacles
 from foveate.models.problem import Problem
 from foveate.names import Objective, ProtocolName
+from foveate.policies.by_kind import ByKind
 from foveate.policies.keep_off import KeepOff
 from foveate.scenario.rows import MAX_LENGTH
 from foveate.scenario.scenario import Scenario
@@ -79,10 +80,19 @@ class RobotPolicy(NamedPolicy):
 
     @cached_property
     def _decider(self) -> Decider:
-        obstacles, network = self.problem.obstacles, self.network
+        obstacles, network = self.problem.of_one_kind().obstacles, self.network
         if obstacles is not None and obstacles.keep_off is not None:
             network = KeepOff(network, self.problem, float(obstacles.keep_off))
         return Decider(network, self.problem.agent, self.seed)
+
+    def for_robot(self, number: int) -> "RobotPolicy":
+        """The policy of one robot of its scenario's team, by its number from 0, with that robot's limits and sensor.
+
+        Raises InputError for a number that the team does not have.
+        """
+        network = self.network.of_robot(number) if isinstance(self.network, ByKind) else self.network
+        experiment = replace(self.experiment, scenario=self.scenario.of_robot(number))
+        return replace(self, experiment=experiment, network=network)
 
     def reset(self) -> None:
         """Forget all decisions: the next one is the first of an episode."""

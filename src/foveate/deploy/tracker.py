@@ -76,9 +76,7 @@ class Tracker(Tracks, Observing):
         if target in self.ids:
             raise InputError(f"target {target!r}: is tracked already")
         position = checked(f"position of target {target!r}", position_world, (len(self._Z),))
-        P = self._prior if covariance is None else checked("covariance", covariance, self._prior.shape, MAX_LENGTH**2)
-        if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or np.linalg.eigvalsh(P)[0] <= 0:
-            raise InputError(f"covariance = {P.tolist()}: expected a symmetric, positive definite matrix")
+        P = self._prior if covariance is None else _covariance("covariance", covariance, len(self._prior))
         mean = (np.linalg.pinv(self._Z) @ position)[None]
 
         def act() -> None:
@@ -123,11 +121,12 @@ class Tracker(Tracks, Observing):
         *,
         time_s: float | None = None,
         quaternion: QuaternionOrder = "wxyz",
+        V: ArrayLike | None = None,
     ) -> Seen:
         """Correct the beliefs by detections; begin those of new ids.
 
-        Raises InputError, without any change, if the pose or a detection has another shape, if the pose is not finite
-        or beyond 1e9, and for an id that does not equal itself.
+        Raises InputError, without any change, if the pose, a detection or V has another shape, if the pose is not
+        finite or beyond 1e9, and for an id that does not equal itself.
 
         Args:
             pose: The agent's pose when it measured, in any form that `RobotPolicy` takes.
@@ -135,15 +134,18 @@ class Tracker(Tracks, Observing):
                 frame those numbers in the order of the name, as (range [m], bearing [rad, to the left of ahead]).
             time_s: When it measured [s], on any clock: the first one sets it. By default, at the time of the beliefs.
             quaternion: Order of a pose's quaternion; ROS has "xyzw".
+            V: Covariance of the noise (n_z, n_z) where another robot's sensor has measured, as the scenario's sensor
+                has it: in its frame, and at a range of 0.
         """
         here, measured = checked_pose(pose, len(self._Z), quaternion), self._measured(detections)
+        noise = None if V is None else _covariance("V", V, self._sensor.size)
         if time_s is None:
-            return self._do(Event(self.time_s, lambda: self._look(here, measured)))
+            return self._do(Event(self.time_s, lambda: self._look(here, measured, noise)))
         at_s = _seconds("time_s", time_s)
         if not self._has_clock:
             self._history.clear()
             self.time_s, self._has_clock = at_s, True
-        look = Event(at_s, lambda: self._look(here, measured))
+        look = Event(at_s, lambda: self._look(here, measured, noise))
         if (ahead_s := at_s - self.time_s) > -SAME_S:
             if ahead_s > SAME_S:
                 self._do(self._moving(ahead_s, {}, self._over(ahead_s)))
@@ -187,6 +189,14 @@ class Tracker(Tracks, Observing):
             return dropped
 
         return Event(end_s, lambda: move(end_s), move)
+
+
+def _covariance(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    """A covariance of this size. Raises InputError for another matrix."""
+    P = checked(name, value, (size, size), MAX_LENGTH**2)
+    if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or np.linalg.eigvalsh(P)[0] <= 0:
+        raise InputError(f"{name} = {P.tolist()}: expected a symmetric, positive definite matrix")
+    return P
 
 
 def _seconds(name: str, value: Any) -> float:

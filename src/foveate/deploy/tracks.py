@@ -45,7 +45,7 @@ class Tracks:
     """
 
     def __init__(self, problem: Problem | Scenario, forget_after_s: float, gate: float | None) -> None:
-        self._problem = problem = problem.problem() if isinstance(problem, Scenario) else problem
+        self._problem = problem = (problem.problem() if isinstance(problem, Scenario) else problem).of_one_kind()
         period, self._sensor, self._forget_after_s = problem.period, problem.sensor, forget_after_s
         matrices = (period.tau, period.V, period.motion.A, period.motion.B, period.motion.W)
         self._tau, self._V, self._A, self._B, self._W = (np.asarray(x, float) for x in matrices)
@@ -101,20 +101,23 @@ class Tracks:
                 raise InputError(f"detection of {target!r} has shape {z.shape}: expected {self._form}")
         return measured
 
-    def _look(self, pose: np.ndarray, measured: Mapping[Hashable, np.ndarray]) -> Seen:
-        """Correct the beliefs by detections; begin those of new ids."""
+    def _look(
+        self, pose: np.ndarray, measured: Mapping[Hashable, np.ndarray], V: Float[np.ndarray, "n_z n_z"] | None
+    ) -> Seen:
+        """Correct the beliefs by detections, with noise V or the sensor's own; begin those of new ids."""
+        V = self._own_V if V is None else V
         finite = [target for target, z in measured.items() if (np.abs(z) <= MAX_LENGTH).all()]
         row_of = {target: i for i, target in enumerate(self.ids)}
         tracked = [target for target in finite if target in row_of]
         accepted, unusable = self._correct(
-            pose, [row_of[target] for target in tracked], [measured[target] for target in tracked]
+            pose, [row_of[target] for target in tracked], [measured[target] for target in tracked], V
         )
         updated = tuple(compress(tracked, accepted))
         # One rejected detection is an outlier; after several in a row the old belief would reject the truth for ever.
         jumped = self._jumped(tracked, accepted | unusable)
         new = tuple(target for target in finite if target not in row_of)
         if jumped or new:
-            mean, covariance = self._one_point(pose, [measured[target] for target in (*jumped, *new)])
+            mean, covariance = self._one_point(pose, [measured[target] for target in (*jumped, *new)], V)
             again = [row_of[target] for target in jumped]
             self.mean[again], self.covariance[again] = mean[: len(again)], covariance[: len(again)]
             self.unseen_s[again] = 0.0
@@ -170,35 +173,35 @@ class Tracks:
             self._rejected_in_a_row.pop(target, None)
         return dropped
 
-    def _noise(self, pose: np.ndarray, points_world: np.ndarray) -> Float[np.ndarray, "k n_z n_z"]:
-        """V in the world frame for targets at these positions, of the step that was predicted last."""
-        return kalman.measurement_noise(self._sensor, self._own_V, pose, points_world)
-
     @property
     def _own_V(self) -> Float[np.ndarray, "n_z n_z"]:
         """V at a range of 0, of the step that was predicted last."""
         return self._V[max(0, self.step - 1) % len(self._V)]
 
-    def _one_point(self, pose: np.ndarray, measured: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def _one_point(
+        self, pose: np.ndarray, measured: list[np.ndarray], V: Float[np.ndarray, "n_z n_z"]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Means and covariances from one measurement each, with the noise at the measured positions."""
         z = np.reshape(measured, (len(measured), self._sensor.size))
         if self._sensor.polar is not None:
             frame = kalman_polar.frame_of(pose, self._Z)
-            return kalman_polar.one_point(self._sensor, self._prior, z, self._own_V, frame)
-        V = self._noise(pose, z @ np.linalg.pinv(self._H).T @ self._Z.T)
-        return kalman.one_point(self._prior, z, self._H, V)
+            return kalman_polar.one_point(self._sensor, self._prior, z, V, frame)
+        noise = kalman.measurement_noise(self._sensor, V, pose, z @ np.linalg.pinv(self._H).T @ self._Z.T)
+        return kalman.one_point(self._prior, z, self._H, noise)
 
-    def _correct(self, pose: np.ndarray, rows: list[int], measured: list[np.ndarray]) -> kalman_polar.Masks:
+    def _correct(
+        self, pose: np.ndarray, rows: list[int], measured: list[np.ndarray], V: Float[np.ndarray, "n_z n_z"]
+    ) -> kalman_polar.Masks:
         """Update the targets of these rows by their measurements; return masks of those accepted, and of no use."""
         z, mean = np.reshape(measured, (len(rows), self._sensor.size)), self.mean[rows]
         covariance, polar = self.covariance[rows], self._sensor.polar
         if polar is None:
-            V = self._noise(pose, mean @ self._Z.T)
-            mean, covariance, accepted = kalman.update(mean, covariance, z, self._H, V, self._limit)
+            noise = kalman.measurement_noise(self._sensor, V, pose, mean @ self._Z.T)
+            mean, covariance, accepted = kalman.update(mean, covariance, z, self._H, noise, self._limit)
             unusable = np.zeros_like(accepted)
         else:
             frame = kalman_polar.frame_of(pose, self._Z)
-            corrected = kalman_polar.update(polar, mean, covariance, z, self._own_V, frame, self._limit)
+            corrected = kalman_polar.update(polar, mean, covariance, z, V, frame, self._limit)
             mean, covariance, (accepted, unusable) = corrected
         self.mean[rows], self.covariance[rows] = mean, covariance
         self.unseen_s[np.array(rows, int)[accepted | unusable]] = 0.0

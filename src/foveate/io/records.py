@@ -89,9 +89,7 @@ def _record(cls: Any, table: Any, at: At) -> Any:
         return _object([cls], table, at)
     if not isinstance(table, dict):
         raise at.invalid(table, "expected a table")
-    table = _with_current_names(cls, table, at)
-    if hasattr(cls, "inherited"):
-        table = cls.inherited(table)
+    table = getattr(cls, "inherited", dict)(_with_current_names(cls, table, at))
     hints = get_type_hints(cls)
     settable = {field.name: field for field in fields(cls) if field.init}
     for key in table:

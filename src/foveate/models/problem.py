@@ -96,6 +96,13 @@ class Problem(eqx.Module):
         alike = replace(self.team, kinds=None)
         return tuple(replace(self.of_robot(i), team=alike) for i in range(len(self.team.kinds.depth_m)))
 
+    def of_one_kind(self) -> "Problem":
+        """Itself, for what decides for one robot. Raises InputError for a team of different robots."""
+        if len(self.kinds) > 1:
+            right = "expected the scenario of one robot: Scenario.of_robot(number), or --robot NUMBER"
+            raise InputError(f"scenario.team.robots: {right}")
+        return self
+
     def sees(
         self, pose: Pose, positions_world: Float[Array, "n d"], asked: Bool[Array, " n"] | None = None
     ) -> Bool[Array, " n"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.simulation.records import Observation, Policy
-from foveate.types import Action, Key
+from foveate.types import Action, Count, Key
 
 
 class ByKind(Policy):
@@ -23,12 +23,16 @@ class ByKind(Policy):
     rest: Policy
     kinds: int = eqx.field(static=True)
 
+    def of_robot(self, number: Count | int) -> Policy:
+        """The policy of a robot of the team."""
+        kind = number % self.kinds
+        return eqx.combine(jax.tree.map(lambda part: part[kind], self.own), self.rest)
+
     def of(self, observation: Observation) -> Policy:
         """The policy of the robot that observes. Raises InputError for a robot outside of a team."""
         if observation.team is None:
-            raise InputError("scenario.team.robots: expected the scenario of one robot: Scenario.of_robot(number)")
-        kind = observation.team.number % self.kinds
-        return eqx.combine(jax.tree.map(lambda part: part[kind], self.own), self.rest)
+            raise InputError("observation.team = None: expected a robot of the team: its policy is `of_robot(number)`")
+        return self.of_robot(observation.team.number)
 
     def start(self, observation: Observation) -> Any:
         """The memory of the robot's own policy."""

@@ -83,7 +83,7 @@ def prepare_replay(
         episode=episode,
         truth=truth,
         inside=in_obstacles(problem.obstacles, slots),
-        depth_m=float(scenario.view.depth_m),
+        depth_m=max(float(kind.view.depth_m) for kind in scenario.kinds),
         agent_start=tuple(map(float, agent_start)),
         seed=seed,
     )
@@ -106,11 +106,13 @@ def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
 
 
 def _std_m(scenario: Scenario, problem: Problem) -> float:
-    """Standard deviation of a measured position; the smallest, in the middle of the view, of other coordinates."""
+    """Least standard deviation of a position that a robot measures; of other coordinates, in the middle of the view."""
     if problem.sensor.polar is None:
-        return scenario.sensor.std_m
-    ahead = 0.5 * float(scenario.view.depth_m) * np.eye(scenario.dimension)[0]
-    return float(np.sqrt(np.linalg.eigvalsh(np.asarray(problem.sensor.equivalent(jnp.asarray(ahead, float))))[0]))
+        return min(kind.sensor.std_m for kind in scenario.kinds)
+    ahead_m = [0.5 * float(kind.view.depth_m) for kind in scenario.kinds]
+    points = [jnp.asarray(m * np.eye(scenario.dimension)[0], float) for m in ahead_m]
+    found = [own.sensor.equivalent(point) for own, point in zip(problem.kinds, points, strict=False)]
+    return float(np.sqrt(min(np.linalg.eigvalsh(np.asarray(V))[0] for V in found)))
 
 
 def _states(problem: Problem, slots: Slots) -> np.ndarray:

@@ -27,6 +27,7 @@ from foveate.ros.walls import Walls, own_cells, walls_of
 
 STOP = (0.0,) * len(AXES)
 Beliefs = tuple[kalman.Means, kalman.Covariances]
+Noise = tuple[tuple[float, ...], ...]
 WorldPositions = dict[str, Float[np.ndarray, " d"]]
 
 
@@ -168,14 +169,16 @@ class Core:
             return f"detections: {now_s - at_s:.3g} s old, older than lag_s = {lag_s:g} s; they are left out"
         return None
 
-    def _work_in(self, pose: Float[np.ndarray, "4 4"], positions: WorldPositions, at_s: float) -> Seen | None:
-        """Correct the beliefs by positions that were measured from a pose at a time; None where that is too late."""
+    def _work_in(
+        self, pose: Float[np.ndarray, "4 4"], positions: WorldPositions, at_s: float, V: Noise | None = None
+    ) -> Seen | None:
+        """Correct the beliefs by positions measured from a pose, by another robot with noise V; None where too late."""
         seen: dict[Hashable, np.ndarray] = {name: self._measured @ p for name, p in positions.items()}
         before, here = self._tracker.too_late, pose if self.model.scenario.dimension == 3 else heading(pose)
         if not self._has_clock:  # the first to come need not be the first that was measured
             self._tracker.update(here, {}, time_s=at_s - self.settings.lag_s)
             self._has_clock = True
-        found = self._tracker.update(here, seen, time_s=at_s)
+        found = self._tracker.update(here, seen, time_s=at_s, V=None if V is None else np.array(V))
         return None if self._tracker.too_late > before else found
 
     def _to_world(self, frame: str, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:

@@ -10,7 +10,7 @@ from foveate.api import load
 from foveate.deploy.belief import Belief
 from foveate.deploy.exported import load_exported
 from foveate.deploy.onnx.session import Session, open_file
-from foveate.deploy.policy import TrainedPolicy
+from foveate.deploy.policy import RobotPolicy
 from foveate.errors import InputError
 from foveate.io.validate import require
 from foveate.models.obstacles import Obstacles
@@ -40,7 +40,7 @@ class RobotModel:
 
     def __post_init__(self) -> None:
         require(set(self.axes) <= set(AXES), "axes", self.axes, f"expected some of {', '.join(AXES)}")
-        scenario, problem = self.scenario, self.scenario.problem()
+        scenario, problem = self.scenario, self.scenario.problem().of_one_kind()
         if problem.schedule is not None:
             raise InputError(f"{self.name}: its scenario has a schedule: a node runs at one period tau_s")
         H, Z = (np.asarray(x, float) for x in (problem.sensor.H, problem.motion.Z))
@@ -48,17 +48,18 @@ class RobotModel:
             raise InputError(f"{self.name}: its sensor does not measure positions, which are what a node receives")
 
 
-def load_model(source: str) -> RobotModel:
+def load_model(source: str, number: int = 0) -> RobotModel:
     """Load a policy for a node. Raises InputError for a file without its scenario, as foveate 0.1 wrote it.
 
-    A policy in JAX is compiled here, which takes seconds, so that no decision has to wait.
+    `number` is that of the robot in a team of different kinds; a file is of one kind already. A policy in JAX is
+    compiled here, which takes seconds, so that no decision has to wait.
     """
     if source.endswith(".onnx"):
         return _of_file(source)
-    return _in_jax(load(source))
+    return _in_jax(load(source).for_robot(number))
 
 
-def _in_jax(policy: TrainedPolicy) -> RobotModel:
+def _in_jax(policy: RobotPolicy) -> RobotModel:
     def decide(belief: Belief, pose: Pose) -> Float[np.ndarray, " m"]:
         return policy(belief.padded(MOST_TARGETS), pose)
 

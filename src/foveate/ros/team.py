@@ -16,7 +16,7 @@ from foveate.deploy.tracks import Seen
 from foveate.errors import InputError
 from foveate.io.strict_json import parse_json
 from foveate.io.validate import require
-from foveate.ros.core import Core, CoreSettings, WorldPositions
+from foveate.ros.core import Core, CoreSettings, Noise, WorldPositions
 from foveate.ros.markers import quaternion_of
 from foveate.ros.messages import position_of
 from foveate.ros.model import RobotModel
@@ -29,12 +29,16 @@ MOST_MEASUREMENTS = 10_000
 
 
 class Measured(NamedTuple):
-    """What a robot has measured of targets at a time [s], from a pose x, y, z, qx, qy, qz, qw in the world frame."""
+    """What a robot has measured of targets at a time [s], from a pose x, y, z, qx, qy, qz, qw in the world frame.
+
+    V is the covariance of its sensor's noise, in the frame that the scenario's sensor has, and at a range of 0.
+    """
 
     robot: str
     time_s: float
     pose: tuple[float, ...]
     positions: dict[str, tuple[float, ...]]
+    V: Noise | None = None
 
     @property
     def keys(self) -> set[tuple[str, float, str]]:
@@ -55,6 +59,8 @@ class TeamCore(Core):
         missed = model.scenario.sensor.missed_detections
         require(missed != "used", "sensor.missed_detections", missed, right)
         self.robot = robot
+        V = np.asarray(model.scenario.problem().sensor.V, float)
+        self._own_noise: Noise = tuple(tuple(row) for row in V.tolist())
         super().__init__(model, settings)
 
     def _new_tracker(self) -> None:
@@ -62,14 +68,17 @@ class TeamCore(Core):
         self._told: list[Measured] = []
         self._known: set[tuple[str, float, str]] = set()
 
-    def _work_in(self, pose: Float[np.ndarray, "4 4"], positions: WorldPositions, at_s: float) -> Seen | None:
+    def _work_in(
+        self, pose: Float[np.ndarray, "4 4"], positions: WorldPositions, at_s: float, V: Noise | None = None
+    ) -> Seen | None:
         """As a single robot does; keep for the others what the gate has accepted."""
-        seen = super()._work_in(pose, positions, at_s)
+        seen = super()._work_in(pose, positions, at_s, V)
         if seen is not None:
             numbers = (*pose[:3, 3].tolist(), *quaternion_of(pose[:3, :3]))
             accepted = {str(name): p for name, p in positions.items() if name not in seen.rejected}
             d = self.model.scenario.dimension
-            self._keep(Measured(self.robot, at_s, numbers, {name: position_of(p, d) for name, p in accepted.items()}))
+            told = {name: position_of(p, d) for name, p in accepted.items()}
+            self._keep(Measured(self.robot, at_s, numbers, told, self._own_noise))
         return seen
 
     def _keep(self, measured: Measured) -> None:
@@ -115,7 +124,8 @@ class TeamCore(Core):
         pose = matrix_of(told.pose[:3], told.pose[3:])  # type: ignore[arg-type]
         if usable and pose is not None:
             d, measured = self.model.scenario.dimension, told._replace(positions=usable)
-            if super()._work_in(pose, {t: np.array(p[:d]) for t, p in usable.items()}, told.time_s) is None:
+            world = {t: np.array(p[:d]) for t, p in usable.items()}
+            if super()._work_in(pose, world, told.time_s, told.V) is None:
                 self._known |= measured.keys  # too late, and so it stays: it is not to be tried again
             else:
                 self._keep(measured)
@@ -150,4 +160,6 @@ def _measured(row: Any) -> Measured:
     positions = {str(target): tuple(float(x) for x in p) for target, p in row["positions"].items()}
     if len(pose) != 7 or any(len(p) != 3 for p in positions.values()):
         raise ValueError("a pose has 7 numbers, and a position 3")
-    return Measured(str(row["robot"]), float(row["time_s"]), pose, positions)
+    V = row.get("V")
+    noise = None if V is None else tuple(map(tuple, np.array(V, float).tolist()))
+    return Measured(str(row["robot"]), float(row["time_s"]), pose, positions, noise)

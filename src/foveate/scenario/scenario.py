@@ -128,7 +128,7 @@ class Scenario(Settings):
         if self.team is None or self.team.robots is None:
             return
         check_kinds(self._own, self.team.robots, has_schedule=bool(self.schedule.V))
-        for i, kind in enumerate(self._kinds):
+        for i, kind in enumerate(self.kinds):
             try:
                 self._alone(kind, obstacles=None)
             except InputError as error:
@@ -154,7 +154,7 @@ class Scenario(Settings):
         right = f"expected obstacles in {self.dimension} dimensions, as the agent's"
         require(fits, "obstacles.kind", self.obstacles.kind, right)
         try:
-            depth_m = max(float(kind.view.depth_m) for kind in self._kinds)
+            depth_m = max(float(kind.view.depth_m) for kind in self.kinds)
             return self.obstacles.obstacles(start_box(self.scenes, self.region), depth_m)
         except InputError as error:
             raise InputError(f"obstacles.{error}") from error
@@ -168,7 +168,7 @@ class Scenario(Settings):
         return Kind(agent=self.agent, view=self.view, sensor=self.sensor)
 
     @property
-    def _kinds(self) -> tuple[Kind, ...]:
+    def kinds(self) -> tuple[Kind, ...]:
         """The kinds of a team's robots in order; the scenario's own where all are alike."""
         robots = () if self.team is None else self.team.robots or ()
         return tuple(self._own.own(robot) for robot in robots) or (self._own,)
@@ -187,7 +187,7 @@ class Scenario(Settings):
         """
         last = 0 if self.team is None else self.team.agents - 1
         require(0 <= number <= last, "robot", number, f"expected 0 to {last}, a robot of the team")
-        return self._alone(self._kinds[number % len(self._kinds)])
+        return self._alone(self.kinds[number % len(self.kinds)])
 
     @property
     def dimension(self) -> int:
@@ -204,7 +204,7 @@ class Scenario(Settings):
 
     def _problem(self) -> Problem:
         """The problem without detections."""
-        H, kinds = self._observation(self.target.motion(self.dimension, self.tau_s)[-1]), self._kinds
+        H, kinds = self._observation(self.target.motion(self.dimension, self.tau_s)[-1]), self.kinds
         agent, sensor = kinds[0].models(H)
         period = 0 if self.schedule.V else self.schedule.length  # a scheduled V is that of all robots
         several = stacked(kinds, H, period) if any(kind != kinds[0] for kind in kinds) else None

@@ -21,6 +21,7 @@ from foveate.scenario.team import RadioSettings, TeamSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
 from foveate.simulation.rollout import rollout
+from foveate.simulation.team.rollout import first_observations
 
 M, K, N, TAU = 3, 10, 2, 0.5
 FAST = RobotSettings(
@@ -99,6 +100,21 @@ def test_every_robot_keeps_its_own_limits_and_sees_by_its_own_view():
         bearing = np.degrees(np.abs((bearing + np.pi) % (2 * np.pi) - np.pi))
         inside = np.hypot(*away) <= DEPTHS[m] and bearing <= ANGLES[m] / 2
         assert trace.team.visible[k, m, target] == inside
+
+
+def test_a_policy_is_told_its_own_robot_and_that_of_every_mate():
+    problem = SCENARIO.problem()
+    episode = training_episode(problem, SCENARIO.scenes, jax.random.key(0), noise=True)
+    seen = jax.jit(lambda episode: first_observations(problem, episode, TRUE))(episode)
+    robot = seen.robot
+    np.testing.assert_allclose(robot.problem.agent.upper, [[3.0, 2.0], [0.5, 0.6], [3.0, 2.0]])
+    np.testing.assert_allclose(robot.extent.ahead_m, DEPTHS)
+    np.testing.assert_allclose(robot.problem.sensor.V[:, 0, 0], np.square(STDS))
+    own = jax.tree.map(lambda x: x[0], robot.problem)
+    for m in range(M):
+        mate = own.of_robot(m)
+        np.testing.assert_allclose(mate.sensor.view.extent.ahead_m, DEPTHS[m])
+        np.testing.assert_allclose(mate.sensor.V, STDS[m] ** 2 * np.eye(2))
 
 
 @pytest.mark.parametrize("name", ["nearest", "window", "post"])

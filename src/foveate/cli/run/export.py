@@ -1,5 +1,7 @@
 """Work of `foveate export`."""
 
+from dataclasses import replace
+
 from foveate.cli.common import check_output
 from foveate.cli.export import Export
 from foveate.deploy.onnx.export import export
@@ -13,6 +15,8 @@ def run(options: Export) -> int:
         raise InputError(f"{options.out}: expected a name that ends in .onnx")
     check_output(options.out)
     experiment, policy, _ = load(options.run)
+    if options.robot is not None:
+        experiment = replace(experiment, scenario=experiment.scenario.of_robot(options.robot))
     inputs = export(experiment, policy, options.out, options.opset)
     agent, named = experiment.scenario.problem().agent, [f"{each.name} {_shape(each.shape)}" for each in inputs]
     axes = ", ".join(agent.space.axes[axis] for axis in agent.axes)

@@ -138,7 +138,7 @@ def sealed(model: "ModelProto") -> bytes:
 def _model(experiment: Experiment, policy: Policy, opset: int) -> "tuple[ModelProto, tuple[Input, ...]]":
     if opset not in OPSETS:
         raise InputError(f"opset = {opset}: expected from {OPSETS[0]} to {OPSETS[-1]}")
-    problem = experiment.scenario.problem()
+    problem = experiment.scenario.problem().of_one_kind()
     heuristic = None if isinstance(policy, PointerPolicy | AttentionPolicy) else type(policy).__name__
     reads_map = heuristic or (isinstance(policy, PointerPolicy) and policy.window_log_weight is not None)
     if problem.obstacles is not None and reads_map:
