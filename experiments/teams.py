@@ -1,14 +1,17 @@
-"""Measure teams: in scalableMARL's world, the consistency of fused beliefs, and what a step costs.
+"""Measure teams: in scalableMARL's world, of different kinds, the consistency of fused beliefs, and what a step costs.
 
     JAX_ENABLE_X64=1 python experiments/teams.py [--agents 4] [--radios always lossy never] [--run RUN] [--episodes 20]
+    JAX_ENABLE_X64=1 python experiments/teams.py --kinds [--radios always never] [--run any] [--episodes 100]
     JAX_ENABLE_X64=1 python experiments/teams.py --consistency
     python experiments/teams.py --cost
 
 The first form plays `benchmarks/worlds/set-tracking.toml` with as many robots as targets, and scores it as published:
 the sum over 200 steps of the mean log det of the information, of all measurements and of the worst robot's own beliefs.
 `NAME@DEPTH` is a heuristic that stops at half of this depth [m]. `lossy`: a range of 15 m, half of the messages lost.
-The second has the NEES of every robot's own beliefs after 30 steps of 1,000 episodes with linear measurements. The
-third times a step of a team over that of one robot, batched, with the heuristic `nearest`.
+The second has the mean log det of all measurements over the steps of `examples/scouts.toml`, of its team of two kinds,
+and of teams of either kind alone. The third has the NEES of every robot's own beliefs after 30 steps of 1,000 episodes
+with linear measurements, also of robots whose sensors differ. The fourth times a step of a team over that of one robot,
+batched, with the heuristic `nearest`.
 """
 
 import argparse
@@ -19,12 +22,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
+import foveate
 from foveate.evaluation.metrics import chi_square_band
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.resolve import load
 from foveate.io.toml import load_toml
-from foveate.planning.named import assigned_in, heuristic_policy
+from foveate.planning.named import assigned_in, heuristic_in, heuristic_policy
 from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import SensorSettings
@@ -35,12 +40,14 @@ from foveate.simulation.records import TRUE, Policy, Trace
 from foveate.simulation.rollout import rollout
 
 WORLD = Path(__file__).parents[1] / "benchmarks" / "worlds" / "set-tracking.toml"
+SCOUTS = Path(__file__).parents[1] / "examples" / "scouts.toml"
 YARD_M = 25.5
 RADIOS = {
     "always": RadioSettings(),
     "lossy": RadioSettings(range_m=15.0, loss=0.5),
     "never": RadioSettings(loss=1.0),
 }
+KINDS_METHODS = ("window", "uncertain", "uncertain+greedy", "uncertain+hungarian", "uncertain+auction")
 METHODS = ("uncertain", "uncertain+greedy", "uncertain@4+greedy", "uncertain@4+hungarian", "uncertain@4+auction")
 PLAIN = Scenario(
     tau_s=0.5,
@@ -102,10 +109,38 @@ def scores(options: argparse.Namespace) -> None:
             )
 
 
+def kinds(options: argparse.Namespace) -> None:
+    """The table of a team of two kinds, beside teams of robots that are alike."""
+    mixed = load_toml(Experiment, SCOUTS).scenario
+    teams = {"both kinds": mixed, "quick ones alone": mixed.of_robot(0), "slow ones alone": mixed.of_robot(1)}
+    for radio in options.radios:
+        for name, scenario in teams.items():
+            assert scenario.team is not None, "of a team's file"
+            scenario = replace(scenario, team=replace(scenario.team, radio=RADIOS[radio]))
+            for method in [*KINDS_METHODS, *(["policy", "policy+hungarian"] if options.run else [])]:
+                policy_name, _, rule = method.partition("+")
+                if policy_name == "policy":
+                    policy = foveate.load(options.run).for_scenario(scenario).network
+                else:
+                    policy = heuristic_in(scenario, policy_name)
+                policy = assigned_in(scenario, policy, rule) if rule else policy
+                trace = play(scenario, policy, options.episodes, options.seed)
+                total, own = trace.log_det.mean(axis=(1, 2)), trace.team.visible.mean(axis=(0, 1, 3))
+                print(
+                    f"{radio}, {name}, {method}: {total.mean():.2f} +- {total.std(ddof=1) / len(total) ** 0.5:.2f}, "
+                    f"in view {trace.visible.mean():.0%}, by each robot {', '.join(f'{share:.0%}' for share in own)}",
+                    flush=True,
+                )
+
+
 def consistency() -> None:
-    """NEES of the robots' own beliefs under every kind of radio."""
-    for name, radio in CONSISTENCY.items():
-        scenario = replace(PLAIN, team=TeamSettings(agents=3, radio=radio))
+    """NEES of the robots' own beliefs under every kind of radio, and with sensors that differ."""
+    stds_m = (0.3, 0.1, 0.9)
+    robots = tuple(RobotSettings(sensor=SensorSettings(std_m=std_m)) for std_m in stds_m)
+    cases = [(name, radio, None) for name, radio in CONSISTENCY.items()]
+    different = [(f"{name}, std {stds_m} m", radio, robots) for name, radio in list(CONSISTENCY.items())[:3]]
+    for name, radio, robots in [*cases, *different]:
+        scenario = replace(PLAIN, team=TeamSettings(agents=3, radio=radio, robots=robots))
         trace = play(scenario, heuristic_policy("nearest", scenario.problem(), 6.0), 1000, 5)
         each = trace.team.nees[:, -1].mean(axis=(1, 2))
         low, high = chi_square_band(4, 2000)
@@ -152,11 +187,14 @@ if __name__ == "__main__":
     parser.add_argument("--run")
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", action="store_true")
     parser.add_argument("--consistency", action="store_true")
     parser.add_argument("--cost", action="store_true")
     options = parser.parse_args()
     if options.cost:
         cost()
+    elif options.kinds:
+        kinds(options)
     elif options.consistency:
         consistency()
     else:

@@ -46,7 +46,8 @@ def test_every_robot_decides_by_the_policy_of_its_kind(seen, name):
         own = heuristic_in(SCENARIO.of_robot(m), name)
         alone = jax.jit(lambda each, own=own: decided(own, each))(jax.tree.map(lambda x, m=m: x[m], seen))
         np.testing.assert_allclose(actions[m], alone, atol=1e-12)
-    assert_rejected(lambda: policy.start(replace(seen, team=None)), "observation.team = None: expected a robot")
+    lonely = replace(jax.tree.map(lambda x: x[0], seen), team=None)
+    assert_rejected(lambda: policy.start(lonely), "observation.team = None: expected a robot")
 
 
 def test_followers_stop_before_the_target_by_half_their_own_view():
