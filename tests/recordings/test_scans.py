@@ -48,8 +48,8 @@ def test_targets_in_view_are_detected_with_their_probability(result):
 def test_gospa_is_that_of_all_pairings_of_confirmed_tracks(result):
     ready, trace = result.traces["still"]
     row, squares = result.rows[0], []
-    for k in range(1, len(trace.existence)):
-        tracks = trace.mean[k, trace.existence[k] > 0.5]
+    for k in range(1, len(trace.mean)):
+        tracks = trace.mean[k, trace.confirmed[k]]
         targets = ready.slots.positions_m[k, ready.slots.present[k]]
         few, many = sorted((tracks, targets), key=len)
         alone = CUTOFF**2 / 2

@@ -126,8 +126,9 @@ class Trace(eqx.Module):
     `rejections` counts the measurements in a row that the gate has rejected; None without a gate. `contacts` counts the
     steps up to k that an obstacle has ended; None without obstacles. Pose and means are in the world frame, positions
     in [m], `information` in [1/m^2] for positions; `action` is normalised to [-1, 1] on every axis, and `log_det` is in
-    [nat]. Without ids beliefs are those of tracks, with their `existence`, `visible` is of true targets, `undetected`
-    is the expected number of others, `expected_gospa` GOSPA as expected [m], and `dropped` counts what had no room.
+    [nat]. Without ids beliefs are those of tracks, with their `existence`, of which the `confirmed` ones are reported,
+    `visible` is of true targets, `undetected` is the expected number of others, `expected_gospa` GOSPA as expected [m],
+    and `dropped` counts what had no room.
 
     Of a team, pose and action are the first robot's, the beliefs are those of one filter that hears every measurement,
     `visible` marks what any robot has measured, and `contacts` are all robots'; `team` has every robot's own.
@@ -143,6 +144,7 @@ class Trace(eqx.Module):
     rejections: Int[Array, "K n"] | None = None
     contacts: Int[Array, " K"] | None = None
     existence: Float[Array, "instants n"] | None = None
+    confirmed: Bool[Array, "instants n"] | None = None
     undetected: Float[Array, " instants"] | None = None
     expected_gospa: Float[Array, " instants"] | None = None
     dropped: Int[Array, " K"] | None = None
