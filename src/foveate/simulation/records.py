@@ -15,10 +15,9 @@ from foveate.types import Action, Count, Key, Pose
 
 
 class Truth(eqx.Module):
-    """The true states of the targets, which the agent does not influence.
+    """The true states y_0 .. y_K of the targets, which the agent does not influence.
 
-    `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance. In an
-    `Instant`: the states after one step, and the noise of its measurements.
+    `measurement_noise` is standard normal, to be scaled by the sensor's covariance. An `Instant` has those of its step.
     """
 
     state: Float[Array, "*instants n n_y"]
