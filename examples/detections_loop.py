@@ -89,7 +89,9 @@ def main() -> None:
     tracker = foveate.DetectionTracker(policy.scenario, SETTINGS)
     for step in range(given.steps):
         tracker.predict()
-        belief = tracker.belief() if tracker.ids else unseen_place(tracker, policy.problem)
+        belief = tracker.belief()
+        if belief.targets == 0:
+            belief = unseen_place(tracker, policy.problem)
         robot.move(policy(belief, robot.pose))
         detections = robot.in_world(robot.detect())
         seen = tracker.update(robot.pose, detections)

@@ -2,8 +2,10 @@
 
 import re
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +14,7 @@ from helpers.untyped import unchecked
 
 import foveate
 from foveate.errors import InputError
+from foveate.geometry.fov import half_space
 from foveate.models.detections import filter as pmb
 from foveate.models.detections.records import Scan
 
@@ -46,6 +49,25 @@ def test_a_target_is_confirmed_followed_and_lost():
     assert sum((scan.lost for scan in gone), ()) == (0,)
     assert own.ids == ()
     assert len(own.mean) == len(own.belief().mean) == 0
+
+
+def test_a_track_that_nobody_looks_at_is_not_reported_until_it_is_detected_again():
+    """It surely exists. After K steps the mean square error of its position is the trace of P + K W."""
+    own = foveate.DetectionTracker(SCENARIO, replace(SETTINGS, cutoff_m=1.0))
+    looked(own, [[[2.0, 1.0]], [[2.1, 1.0]], [[2.1, 1.0]]])
+    P, W = own.covariance[0], np.asarray(SCENARIO.problem().motion.W)
+    away, confirmed = [1e3, 0.0, 0.0], True
+    for K in range(1, 200):
+        own.predict()
+        own.update(away, [])
+        q = np.trace(P + K * W)
+        confirmed = 1.0 - q * (1.0 - np.exp(-1.0 / q)) > 0.5
+        assert own.ids == ((0,) if confirmed else ())
+        if not confirmed:
+            break
+    assert not confirmed
+    assert own.belief().targets == 1
+    assert own.update(POSE, [[2.1, 1.0]]).confirmed == (0,)
 
 
 def test_two_targets_in_any_order_keep_their_ids():
@@ -93,6 +115,12 @@ def test_a_step_of_another_length_is_as_many_steps():
     np.testing.assert_allclose(two.existence, one.existence, rtol=1e-6)
     np.testing.assert_allclose(two.covariance, one.covariance, rtol=1e-5)
     assert two.expected_number == pytest.approx(one.expected_number, rel=0.05)
+
+
+def test_a_view_without_end_needs_a_cutoff():
+    endless = eqx.tree_at(lambda problem: problem.sensor.view, SCENARIO.problem(), half_space([-1.0, 0.0], 0.0))
+    with pytest.raises(InputError, match="cutoff_m = None: is missing; expected a number, as the view has no end"):
+        foveate.DetectionTracker(endless, replace(SETTINGS, clutter=0.0))
 
 
 BAD = {

@@ -35,7 +35,14 @@ def episode():
     visible[0, 0, 0], visible[0, 2] = True, True
     shapes = {"pose": np.zeros((1, 4, 3)), "action": np.zeros((1, 3, 2)), "log_det": np.zeros((1, 3, 3))}
     information = np.broadcast_to(4.0 * np.eye(4), (1, 4, 3, 4, 4))
-    parts = {"mean": mean, "existence": existence, "visible": visible, "information": information, **shapes}
+    parts = {
+        "mean": mean,
+        "existence": existence,
+        "confirmed": existence > 0.5,
+        "visible": visible,
+        "information": information,
+        **shapes,
+    }
     dropped = np.array([[0, 3, 5]])
     arrays = {name: jnp.asarray(part) for name, part in {**parts, "dropped": dropped}.items()}
     # One episode at a time: the annotations of a trace are those of one.
@@ -70,7 +77,7 @@ def test_errors_are_of_confirmed_tracks_and_their_targets(episode):
 
 def test_without_a_confirmed_track_there_is_no_error_but_in_a_file_whose_format_has_numbers(episode):
     trace, truth, alive = episode
-    object.__setattr__(trace, "existence", 0.1 * trace.existence)
+    object.__setattr__(trace, "confirmed", np.zeros_like(trace.confirmed))
     row = detection_measures(PROBLEM, trace, truth, alive, [SCENE])[0]
     assert (row["rmse_m"], row["nees"], row["gospa_false"], row["gospa_localisation"]) == (None, None, 0.0, 0.0)
     others = {"scene": "a", "episode": 0, "seed": 0, "method": "still", "protocol": "true", "motion": "unbiased"}

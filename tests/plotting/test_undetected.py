@@ -34,8 +34,8 @@ def episode() -> EpisodeData:
     cells[:, 1, 0], cells[0, 0, 2] = 1.5, 3.0
     tracks = TrackData(
         existence=np.tile(EXISTENCE, (STEPS + 1, 1)),
+        confirmed=np.tile(EXISTENCE > 0.5, (STEPS + 1, 1)),
         tell=0.1,
-        confirm=0.5,
         gospa_m=2.345,
         box=np.array([[-6.0, -6.0], [6.0, 3.0]]),
         undetected=cells,

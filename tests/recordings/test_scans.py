@@ -48,8 +48,8 @@ def test_targets_in_view_are_detected_with_their_probability(result):
 def test_gospa_is_that_of_all_pairings_of_confirmed_tracks(result):
     ready, trace = result.traces["still"]
     row, squares = result.rows[0], []
-    for k in range(1, len(trace.existence)):
-        tracks = trace.mean[k, trace.existence[k] > 0.5]
+    for k in range(1, len(trace.mean)):
+        tracks = trace.mean[k, trace.confirmed[k]]
         targets = ready.slots.positions_m[k, ready.slots.present[k]]
         few, many = sorted((tracks, targets), key=len)
         alone = CUTOFF**2 / 2
@@ -62,6 +62,16 @@ def test_gospa_is_that_of_all_pairings_of_confirmed_tracks(result):
     assert 0 < row.rmse_m < CUTOFF
     assert row.gospa_false > 0
     assert row.gospa_missed > 0
+
+
+def test_confirmed_are_the_tracks_that_exist_and_are_located(result):
+    _, trace = result.traces["still"]
+    covariance = np.linalg.inv(np.asarray(trace.information, float))[..., :2, :2]
+    q = np.trace(covariance, axis1=-2, axis2=-1) / CUTOFF**2
+    value = np.asarray(trace.existence) * (1 - q * (1 - np.exp(-1 / q)))
+    clear = abs(value - 0.5) > 1e-3
+    np.testing.assert_array_equal(np.asarray(trace.confirmed)[clear], value[clear] > 0.5)
+    assert 0 < trace.confirmed.sum() < (np.asarray(trace.existence) > 0.5).sum()
 
 
 def test_false_alarms_are_poisson_and_the_noise_of_measurements_is_that_with_ids(result, scenario, recording):

@@ -56,7 +56,7 @@ def test_a_box_of_the_plane_does_not_fit_space():
     ).problem()
     with pytest.raises(InputError, match="expected 3 numbers, one per axis"):
         DetectionSettings(**BOX).model(in_space)
-    deep = {"low_m": (-10.0,) * 3, "high_m": (10.0,) * 3}
+    deep = {"low_m": (-10.0,) * 3, "high_m": (10.0,) * 3, "cutoff_m": 4.0}
     assert DetectionSettings(**deep).model(in_space).births.shape == (12, 12, 12)
     with pytest.raises(InputError, match="a view with an end"):
         DetectionSettings(**deep, clutter=1.0).model(in_space)

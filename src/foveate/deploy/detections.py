@@ -18,6 +18,7 @@ from foveate.deploy.tracker import MAX_TIME_S
 from foveate.deploy.tracks import checked
 from foveate.errors import InputError
 from foveate.models.detections import filter as pmb
+from foveate.models.detections.expectation import confirmed
 from foveate.models.detections.records import DetectionModel, Population, Scan
 from foveate.models.problem import Problem
 from foveate.scenario.detections import DetectionSettings
@@ -29,8 +30,8 @@ from foveate.scenario.scenario import Scenario
 class Scanned:
     """Outcome of a scan, by the ids of tracks.
 
-    `confirmed` are reported from now on, as their existence has passed the threshold; `lost` are no longer. A lost
-    track that is confirmed again keeps its id, unless it was forgotten in between. `rejected` counts detections that
+    `confirmed` are reported from now on, as they exist and are located well enough; `lost` are no longer. A lost track
+    that is confirmed again keeps its id, unless it was forgotten in between. `rejected` counts detections that
     are not finite or beyond 1e9 m.
     """
 
@@ -44,8 +45,9 @@ class DetectionTracker(Observing):
 
     Each step: `predict`, decide on `belief`, `inputs` or `observation`, move, detect, `update`. Detections are a plain
     list in any order: which is of which target, which is a false alarm, and how many targets there are, the tracker
-    finds out. Ids of tracks are its own. It reports the tracks that exist with a probability above the settings'
-    `confirm`; a track that is not detected where it should be becomes less likely, and ends.
+    finds out. Ids of tracks are its own. It reports the tracks that well enough exist and are located, by the settings'
+    `confirm` and `cutoff_m`. A track that is not detected where it should be becomes less likely, and ends; one that
+    nobody looks at becomes uncertain, and is not reported until it is detected again.
 
     Where false alarms are expected, a detection beyond the scenario's view counts as one: set the view at least as wide
     as the detector's.
@@ -195,14 +197,19 @@ class DetectionTracker(Observing):
         return Scanned(confirmed=confirmed, lost=lost, rejected=rejected)
 
     def belief(self) -> Belief:
-        """Belief about the reported tracks at the current step; after `predict`, the input of a policy."""
-        covariance = self.covariance
+        """Belief about the tracks whose existence is above `confirm`; after `predict`, the input of a policy.
+
+        These include tracks too uncertain to be reported: it is for the policy to decide whether to look for them.
+        """
+        tracks = self._population.tracks
+        exist = np.asarray(tracks.existence) > self._model.confirm
+        mean, covariance = (np.asarray(part, float)[exist] for part in (tracks.mean, tracks.covariance))
         covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
-        usable = are_usable(self.mean, covariance)
-        return Belief(self.mean[usable], covariance=covariance[usable], step_s=self._step_s)
+        usable = are_usable(mean, covariance)
+        return Belief(mean[usable], covariance=covariance[usable], step_s=self._step_s)
 
     def _of_reported(self, values: jax.Array) -> np.ndarray:
-        return np.asarray(values)[np.asarray(pmb.confirmed(self._model, self._population.tracks))]
+        return np.asarray(values)[np.asarray(confirmed(self._problem, self._model, self._population.tracks))]
 
     def __repr__(self) -> str:
         return f"DetectionTracker(step {self.step}, {len(self.ids)} targets of {self.expected_number:.1f} expected)"

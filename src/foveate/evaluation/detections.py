@@ -45,12 +45,12 @@ def detection_measures(
     """Measure episodes, padded or not, each of its own scene, for their rows of an evaluation."""
     model = problem.detections
     assert model is not None, "for problems with detections"
-    assert trace.existence is not None, "traces of such problems have it"
+    assert trace.confirmed is not None, "traces of such problems have it"
     return [_row(problem, model, _of(trace, i), truth[i], alive[i], scene, objective) for i, scene in enumerate(scenes)]
 
 
 def _of(trace: Trace, i: int) -> dict[str, np.ndarray]:
-    names = ("mean", "information", "existence", "visible", "contacts", "dropped")
+    names = ("mean", "information", "confirmed", "visible", "contacts", "dropped")
     return {name: np.asarray(part)[i] for name in names if (part := getattr(trace, name)) is not None}
 
 
@@ -65,7 +65,7 @@ def _row(
 ) -> dict[str, Any]:
     steps, Z = scene.horizon, np.asarray(problem.motion.Z, float)
     states, is_alive = truth[1 : steps + 1].astype(float), alive[1 : steps + 1]
-    mean, reported = trace["mean"][1 : steps + 1].astype(float), trace["existence"][1 : steps + 1] > model.confirm
+    mean, reported = trace["mean"][1 : steps + 1].astype(float), trace["confirmed"][1 : steps + 1]
     cutoff_m = float(np.asarray(model.cutoff))
     found = mean_gospa(mean @ Z.T, reported, states @ Z.T, is_alive, cutoff_m)
     score = -found.gospa if scene.targets else None

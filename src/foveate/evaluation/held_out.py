@@ -149,9 +149,9 @@ def _score(given: HeldOut, policy: Policy, episode: Episode, key: Key) -> Scalar
     """Score of an episode; without ids what `_scores` needs for it, as pairs are found outside of JAX."""
     training, model = given.experiment.training, given.problem.detections
     trace = rollout(given.problem, policy, episode, PROTOCOLS[training.select], key)
-    if model is None or trace.existence is None:
+    if model is None or trace.confirmed is None:
         return objective_score(trace, episode, training.objective)
-    return Estimates(given.problem.motion.position(trace.mean[1:]), trace.existence[1:] > model.confirm)
+    return Estimates(given.problem.motion.position(trace.mean[1:]), trace.confirmed[1:])
 
 
 def _scores(given: HeldOut, found: Any, episodes: Episode) -> Scores:

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from foveate.models.detections.expectation import confirmed
 from foveate.models.detections.records import Population
 from foveate.models.problem import Problem, first_information
 from foveate.plotting.animation import picture
@@ -79,12 +80,13 @@ class Screen:
         truth = mean if self._truth is None else self._truth[: self._horizon + 1, self._columns]
         return self._drawn(pose, mean, information, visible, present, truth)
 
-    def _data_of_tracks(self, alive, pose, mean, information, existence, visible, undetected) -> EpisodeData:
+    def _data_of_tracks(self, alive, pose, mean, information, existence, shown, visible, undetected) -> EpisodeData:
         """The same of detections without ids; GOSPA is that of the steps so far."""
         assert self._truth is not None, "episodes with scans have it"
         truth = self._truth[: self._horizon + 1]
         so_far = slice(max(2, len(self._instants)))
-        parts = {"existence": existence, "mean": mean, "truth": truth, "alive": alive, "undetected": undetected}
+        parts = {"existence": existence, "confirmed": shown, "mean": mean, "truth": truth, "alive": alive}
+        parts["undetected"] = undetected
         gospa_m = track_data(self._problem, **{name: values[so_far] for name, values in parts.items()}).gospa_m
         tracks = replace(track_data(self._problem, **parts), gospa_m=gospa_m)
         return self._drawn(pose, mean, information, visible, alive, truth, tracks)
@@ -104,9 +106,11 @@ class Screen:
 
     def _append_tracks(self, pose: Any, population: Population, visible: Any) -> None:
         """Append the tracks of detections without ids, and the map of undetected targets."""
-        tracks = population.tracks
+        tracks, model = population.tracks, self._problem.detections
+        assert model is not None, "problems with tracks have it"
+        shown = confirmed(self._problem, model, tracks)
         information = np.linalg.inv(np.asarray(tracks.covariance, float))
-        self._append(pose, tracks.mean, information, tracks.existence, visible, population.undetected)
+        self._append(pose, tracks.mean, information, tracks.existence, shown, visible, population.undetected)
 
     def _append(self, *instant: Any) -> None:
         """Append pose, mean, information, presence and visibility; show them in the window, if any."""

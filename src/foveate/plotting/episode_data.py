@@ -200,6 +200,7 @@ def episode_data(
         tracks = track_data(
             problem,
             existence=np.asarray(trace.existence, float)[until],
+            confirmed=np.asarray(trace.confirmed)[until],
             mean=np.asarray(trace.mean, float)[until],
             truth=np.asarray(truth_state, float)[until],
             alive=alive[until],

@@ -50,7 +50,7 @@ def snapshot(
 
     truth = between(data.truth, data.present)
     existence = np.ones(len(shown)) if tracks is None else tracks.existence[k]
-    seen = data.seen_at(k) if tracks is None else existence > tracks.confirm
+    seen = data.seen_at(k) if tracks is None else tracks.confirmed[k]
     return Snapshot(
         pose=arc[moment],
         path=positions(arc[first * SUBSTEPS : moment + 1]),

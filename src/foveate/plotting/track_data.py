@@ -19,21 +19,16 @@ from foveate.simulation.scans import begin
 class TrackData:
     """Tracks at every instant, and the expected number of targets never detected in each cell of a box [m].
 
-    `existence` is 0 in slots without a track; policies are told of those above `tell`, those above `confirm` are
+    `existence` is 0 in slots without a track; policies are told of those above `tell`, the `confirmed` ones are
     reported. `gospa_m` is the mean GOSPA over the steps [m].
     """
 
     existence: Float[np.ndarray, "instants b"]
+    confirmed: Bool[np.ndarray, "instants b"]
     tell: float
-    confirm: float
     gospa_m: float
     box: Float[np.ndarray, "2 d"]
     undetected: Float[np.ndarray, "instants *cells"] | None = None
-
-    @property
-    def confirmed(self) -> Bool[np.ndarray, "instants b"]:
-        """Tracks that are reported."""
-        return self.existence > self.confirm
 
     @property
     def expected(self) -> Float[np.ndarray, " instants"]:
@@ -46,6 +41,7 @@ def track_data(
     problem: Problem,
     *,
     existence: Float[np.ndarray, "instants b"],
+    confirmed: Bool[np.ndarray, "instants b"],
     mean: Float[np.ndarray, "instants b n_y"],
     truth: Float[np.ndarray, "instants targets n_y"],
     alive: Bool[np.ndarray, "instants targets"],
@@ -55,11 +51,11 @@ def track_data(
     model, Z = problem.detections, np.asarray(problem.motion.Z, float)
     assert model is not None, "for problems with detections"
     estimates, targets = mean[1:] @ Z.T, truth[1:] @ Z.T
-    found = mean_gospa(estimates, existence[1:] > model.confirm, targets, alive[1:], float(np.asarray(model.cutoff)))
+    found = mean_gospa(estimates, confirmed[1:], targets, alive[1:], float(np.asarray(model.cutoff)))
     return TrackData(
         existence=existence,
+        confirmed=confirmed,
         tell=model.tell,
-        confirm=model.confirm,
         gospa_m=found.gospa,
         box=np.array([model.grid.low, model.grid.high], float),
         undetected=undetected,

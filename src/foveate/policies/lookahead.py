@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
-from foveate.models.detections.expectation import capped
+from foveate.models.detections.expectation import position_loss
 from foveate.models.detections.records import DetectionModel
 from foveate.models.detections.visibility import cell_detection
 from foveate.models.problem import Problem
@@ -121,13 +121,13 @@ def _of_tracks(problem: Problem, observation: Observation, errors: Errors, way: 
     """Expected cost of the tracks after each step [targets]."""
     model, r = problem.detections, observation.existence
     assert model is not None, "for problems with detections"
-    assert model.cutoff is not None, "a scenario's model has it"
     assert r is not None, "observations of detections without ids have it"
     r, steps = jnp.where(observation.present, r, 0.0), len(errors.unseen)
-    cutoff = model.cutoff
 
-    def loss(error: Float[Array, " n"]) -> Float[Array, " n"]:
-        return 2.0 * capped(error, cutoff) / cutoff**2
+    def cost(existence: Float[Array, " n"], error: Float[Array, " n"]) -> Float[Array, " n"]:
+        loss = position_loss(error, model.cutoff)
+        is_reported = existence * (1.0 - loss) > model.confirm
+        return jnp.where(is_reported, 2.0 * existence * loss + 1.0 - existence, existence)
 
     def step(carry, inputs):
         unfound, since = carry
@@ -137,8 +137,8 @@ def _of_tracks(problem: Problem, observation: Observation, errors: Errors, way: 
         looks = problem.sees(pose, position_world)
         unfound = jnp.where(looks, unfound * (1.0 - chance), unfound)
         since = jnp.where(looks, 0, jnp.minimum(since + 1, steps - 1))
-        unseen = jnp.where(r > model.confirm, r * loss(errors.unseen[k]) + 1.0 - r, r)
-        seen = r * loss(jnp.take_along_axis(errors.seen, since[None], axis=0)[0])
+        unseen = cost(r, errors.unseen[k])
+        seen = r * cost(jnp.ones_like(r), jnp.take_along_axis(errors.seen, since[None], axis=0)[0])
         return (unfound, since), jnp.sum(unfound * unseen + (1.0 - unfound) * seen)
 
     begin = jnp.ones_like(r), jnp.zeros(r.shape, int)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import inverse_spd, multiply
-from foveate.models.detections.expectation import capped
+from foveate.models.detections.expectation import position_loss
 from foveate.models.detections.grid import Grid
 from foveate.models.detections.records import DetectionModel
 from foveate.models.problem import Problem
@@ -98,8 +98,7 @@ class Alternate(Explore):
     def saved(self, observation: Observation) -> Float[Array, " n"]:
         """The worth of a look at each track [targets], with the price of the way; 0 for padding."""
         model, _ = detections_of(self.problem, observation)
-        assert model.cutoff is not None, "a scenario's model has it"
         assert observation.existence is not None, "observations of such problems have it"
-        lost = capped(track_errors(self.problem, observation), model.cutoff) / model.cutoff**2
+        lost = position_loss(track_errors(self.problem, observation), model.cutoff)
         means = self.problem.motion.position(observation.mean)
         return jnp.where(observation.present, observation.existence * lost, 0.0) * self.nearness(observation, means)

@@ -167,14 +167,14 @@ def _of_beliefs(
     }
 
 
-def _reported(model: DetectionModel, trace: Trace) -> Bool[np.ndarray, "K tracks"]:
-    assert trace.existence is not None, "traces of detections without ids have it"
-    return np.asarray(trace.existence)[1:] > model.confirm
+def _reported(trace: Trace) -> Bool[np.ndarray, "K tracks"]:
+    assert trace.confirmed is not None, "traces of detections without ids have it"
+    return np.asarray(trace.confirmed)[1:]
 
 
 def _nearest(ready: PreparedReplay, model: DetectionModel, trace: Trace) -> Float[np.ndarray, "K columns"]:
     """Squared distance of each target to the nearest confirmed track after each step [m^2]; infinite without any."""
-    Z, reported = np.asarray(ready.problem.motion.Z, float), _reported(model, trace)
+    Z, reported = np.asarray(ready.problem.motion.Z, float), _reported(trace)
     square_m2 = np.full(ready.truth.shape[:2], np.inf)[1:]
     for k, which in enumerate(reported):
         apart = (np.asarray(trace.mean[k + 1, which], float)[:, None] - ready.truth[k + 1]) @ Z.T
@@ -186,7 +186,7 @@ def _of_tracks(ready: PreparedReplay, model: DetectionModel, trace: Trace) -> di
     """GOSPA of the confirmed tracks, and the errors of those that it pairs with targets."""
     assert trace.dropped is not None, "traces of detections without ids have it"
     Z, cutoff_m = np.asarray(ready.problem.motion.Z, float), float(np.asarray(model.cutoff))
-    mean, reported, truth = np.asarray(trace.mean, float)[1:], _reported(model, trace), ready.truth[1:]
+    mean, reported, truth = np.asarray(trace.mean, float)[1:], _reported(trace), ready.truth[1:]
     there, index = ready.slots.present[1:], ready.slots.track_index[1:]
     found = mean_gospa(mean @ Z.T, reported, truth @ Z.T, there, cutoff_m)
     errors, information, of = [], [], []

@@ -74,7 +74,8 @@ class DetectionSettings(Settings):
     detections: int = 16
     """Most detections a scan."""
     confirm: float = 0.5
-    """Probability of existence above which a track is reported."""
+    """A track is reported while r (1 - E min(d^2, c^2) / c^2) is above this, where r is its probability of existence, d
+    the error of its position and c `cutoff_m`. The expected GOSPA is least at 0.5."""
     recycle: float = 0.01
     """Probability of existence at which a track returns to the intensity of undetected targets."""
     gate: float = GATE
@@ -128,6 +129,12 @@ class DetectionSettings(Settings):
         box = [birth.low_m, birth.high_m]
         require(inside, "births.low_m, high_m", box, f"expected a box within {self.low_m} .. {self.high_m}, the grid's")
 
+    def _cutoff_m(self, view: FieldOfView) -> float:
+        depth_m = float(view.depth)
+        right = "is missing; expected a number, as the view has no end"
+        require(self.cutoff_m is not None or math.isfinite(depth_m), "detections.cutoff_m", None, right)
+        return 0.5 * depth_m if self.cutoff_m is None else self.cutoff_m
+
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of cells along each axis."""
@@ -160,6 +167,7 @@ class DetectionSettings(Settings):
             births=births,
             first=first,
             clutter_points_body=jnp.asarray(points, float),
+            cutoff=jnp.asarray(self._cutoff_m(view), float),
             gate=gate_limit(self.gate, len(problem.sensor.H)),
             recycle=self.recycle,
             confirm=self.confirm,

@@ -26,13 +26,7 @@ def detection_model(settings: DetectionSettings, problem: Problem, scenes: Scene
     _check(settings, problem, scenes)
     model = settings.model(problem)
     first = model.first if settings.known else model.first + _in_scenes(model, scenes)
-    depth_m = float(problem.sensor.view.depth)
-    cutoff_m = settings.cutoff_m
-    if cutoff_m is None:
-        right = "is missing; expected a number, as the view has no end"
-        require(math.isfinite(depth_m), "detections.cutoff_m", None, right)
-        cutoff_m = 0.5 * depth_m
-    return replace(model, first=first, cutoff=jnp.asarray(cutoff_m, float), sources=_sources(settings, scenes))
+    return replace(model, first=first, sources=_sources(settings, scenes))
 
 
 def expected_others(settings: DetectionSettings, steps: int) -> float:

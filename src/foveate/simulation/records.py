@@ -15,10 +15,9 @@ from foveate.types import Action, Count, Key, Pose
 
 
 class Truth(eqx.Module):
-    """The true states of the targets, which the agent does not influence.
+    """The true states y_0 .. y_K of the targets, which the agent does not influence.
 
-    `state` holds y_0 .. y_K; `measurement_noise` is standard normal and is scaled by the sensor's covariance. In an
-    `Instant`: the states after one step, and the noise of its measurements.
+    `measurement_noise` is standard normal, to be scaled by the sensor's covariance. An `Instant` has those of its step.
     """
 
     state: Float[Array, "*instants n n_y"]
@@ -122,13 +121,13 @@ class Policy(eqx.Module):
 class Trace(eqx.Module):
     """Record of one episode; entries after `horizon` steps are padding.
 
-    `log_det` is that of the information matrix after step k; `visible` marks the targets actually measured.
+    `log_det` is that of the information matrix after step k [nat]; `visible` marks the targets actually measured.
     `rejections` counts the measurements in a row that the gate has rejected; None without a gate. `contacts` counts the
     steps up to k that an obstacle has ended; None without obstacles. Pose and means are in the world frame, positions
-    in [m], `information` in [1/m^2] for positions; `action` is normalised to [-1, 1] on every axis, and `log_det` is in
-    [nat]. Without ids beliefs are those of tracks, with their `existence`, `visible` is of true targets, `undetected`
-    is the expected number of others, `expected_gospa` GOSPA as expected [m], and `dropped` counts what had no room.
+    in [m], `information` in [1/m^2] for positions; `action` is normalised to [-1, 1] on every axis.
 
+    Without ids beliefs are those of tracks, with their `existence`; the `confirmed` are reported. `visible` is of true
+    targets, `undetected` the expected number of others, `expected_gospa` in [m], and `dropped` had no room.
     Of a team, pose and action are the first robot's, the beliefs are those of one filter that hears every measurement,
     `visible` marks what any robot has measured, and `contacts` are all robots'; `team` has every robot's own.
     """
@@ -143,6 +142,7 @@ class Trace(eqx.Module):
     rejections: Int[Array, "K n"] | None = None
     contacts: Int[Array, " K"] | None = None
     existence: Float[Array, "instants n"] | None = None
+    confirmed: Bool[Array, "instants n"] | None = None
     undetected: Float[Array, " instants"] | None = None
     expected_gospa: Float[Array, " instants"] | None = None
     dropped: Int[Array, " K"] | None = None

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import cholesky_spd, inverse_spd, multiply
 from foveate.models.detections import filter as pmb
-from foveate.models.detections.expectation import expected_gospa
+from foveate.models.detections.expectation import confirmed, expected_gospa
 from foveate.models.detections.records import NO_IDENTITY, Population, Scan, Tracks
 from foveate.models.problem import Problem
 from foveate.simulation.draft import Draft, noise_covariance, positions_body
@@ -90,14 +90,15 @@ def update_population(problem: Problem, protocol: Protocol, draft: Draft) -> Dra
 
 
 def expected(problem: Problem, state: State) -> dict[str, Array]:
-    """Existence of tracks, number of targets beside them, and GOSPA, as expected; nothing of detections with ids."""
-    population = state.population
-    if problem.detections is None or population is None:
+    """Existence of tracks, those that are confirmed, number of other targets, GOSPA; nothing of detections with ids."""
+    model, population = problem.detections, state.population
+    if model is None or population is None:
         return {}
     return {
         "existence": population.tracks.existence,
+        "confirmed": confirmed(problem, model, population.tracks),
         "undetected": jnp.sum(population.undetected),
-        "expected_gospa": expected_gospa(problem, problem.detections, population.tracks, population.undetected),
+        "expected_gospa": expected_gospa(problem, model, population.tracks, population.undetected),
     }
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models.detections import visibility
@@ -168,8 +168,3 @@ def _new_tracks(
     density = model.grid.density(population.undetected, problem.motion.position(begun.mean), jnp.sqrt(variance))
     nothing, unnamed = jnp.zeros_like(density), jnp.full(len(density), NO_IDENTITY)
     return Tracks(nothing, begun.mean, covariance, unnamed), density
-
-
-def confirmed(model: DetectionModel, tracks: Tracks) -> Bool[Array, " n"]:
-    """True for the tracks that are reported."""
-    return tracks.existence > model.confirm

@@ -50,11 +50,12 @@ class DetectionModel(eqx.Module):
     track stands for.
 
     `gate` is the largest squared Mahalanobis distance of a detection to a track that it may belong to; None: all may.
-    Tracks with an existence below `recycle` return to the intensity of undetected targets; those above `confirm` are
-    reported. The filter has room for `tracks` tracks and `detections` detections a scan.
+    Tracks with an existence below `recycle` return to the intensity of undetected targets. Which are reported follows
+    from `confirm` and `cutoff`, the distance c of GOSPA [m] (`expectation.confirmed`). The filter has room for `tracks`
+    tracks and `detections` detections a scan.
 
     In a simulation, policies are told of tracks above `tell`, targets of the scene begin as tracks (`known`) or not,
-    others come from `sources`, and GOSPA is at the distance `cutoff` [m].
+    and others come from `sources`.
     """
 
     probability: Scalar
@@ -67,6 +68,7 @@ class DetectionModel(eqx.Module):
     first: Float[Array, "*cells"]
     clutter_points_body: Float[Array, "points d"]
     """Points that fill the view evenly, from which false alarms are drawn [m]."""
+    cutoff: Scalar
     gate: float | None = eqx.field(static=True, default=None)
     recycle: float = eqx.field(static=True, default=0.01)
     confirm: float = eqx.field(static=True, default=0.5)
@@ -74,7 +76,6 @@ class DetectionModel(eqx.Module):
     detections: int = eqx.field(static=True, default=16)
     tell: float = eqx.field(static=True, default=0.1)
     known: bool = eqx.field(static=True, default=True)
-    cutoff: Scalar | None = None
     sources: Sources | None = None
 
     def probability_at(self, range_m: Float[Array, "*b"]) -> Float[Array, "*b"]:
