@@ -88,3 +88,19 @@ def test_what_a_node_cannot_run_is_said(file):
     with pytest.raises(InputError, match="no such run folder or file, and no preset"):
         load_model("nothing")
     assert Experiment(scenario=pan).scenario == load_model(str(file)).scenario
+
+
+@pytest.mark.slow  # compiles the policy for 64 targets
+def test_a_node_is_one_of_the_robots_of_a_team(tmp_path):
+    """Of a team of different robots the number says which: limits, view and noise are its own."""
+    path = tmp_path / "team.toml"
+    path.write_text(
+        "[scenario.team]\nagents = 2\n[[scenario.team.robots]]\n"
+        "[[scenario.team.robots]]\nagent = { v_max_m_s = 0.5 }\nsensor = { std_m = 0.7 }\n"
+    )
+    first, second = (load_model(f"any@{path}", number) for number in (0, 1))
+    assert second.scenario.sensor.std_m == 0.7
+    ahead = Belief(np.array([[9.0, 0.0]]), covariance=np.eye(2)[None])
+    np.testing.assert_allclose([each.decide(ahead, np.zeros(3))[0] for each in (first, second)], [4.0, 0.5], atol=1e-3)
+    with pytest.raises(InputError, match="robot = 2: expected 0 to 1"):
+        load_model(f"any@{path}", 2)

@@ -75,7 +75,7 @@ def find(name):
 @pytest.fixture
 def watched(monkeypatch):
     policy = Watched()
-    monkeypatch.setattr(module, "load_model", lambda name: policy.core.model)
+    monkeypatch.setattr(module, "load_model", lambda name, number: policy.core.model)
     return policy
 
 
@@ -138,7 +138,7 @@ def test_parameters_reach_the_core(watched):
 
 def test_a_policy_of_random_maps_asks_for_the_robots_own(monkeypatch):
     rooms = Watched(PRESETS["rooms"].scenario)
-    monkeypatch.setattr(module, "load_model", lambda name: rooms.core.model)
+    monkeypatch.setattr(module, "load_model", lambda name, number: rooms.core.model)
     with pytest.raises(InputError, match="map_topic = '': expected the topic of the robot's map"):
         Driver(Node(policy="rooms"), find, "qos")
 
@@ -176,7 +176,7 @@ def test_walls_that_a_policy_was_trained_among_are_published(monkeypatch):
     """Those of its scenario, cell by cell: a wall of 0.4 m across, as shapely has it."""
     wall = ShapeObstacles(boxes=((1.0, -2.0, 1.4, 3.0),))
     policy = Watched(replace(PLANE, obstacles=wall))
-    monkeypatch.setattr(module, "load_model", lambda name: policy.core.model)
+    monkeypatch.setattr(module, "load_model", lambda name, number: policy.core.model)
     node = Node(policy="any")
     Driver(node, find, "qos")
     assert not node.sent["walls"]  # there is no frame yet

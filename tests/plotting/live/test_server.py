@@ -87,7 +87,8 @@ def test_a_page_holds_the_robots_of_a_team_and_who_has_heard_whom(tmp_path, dime
     mates[where] += rng.normal(0, 5.0, mates[where].shape)
     heard = np.zeros((4, 3, 3), bool)
     heard[3, 0, 1] = heard[3, 1, 0] = heard[3, 2, 1] = True
-    data = late_sightings(d, mates=mates, heard=heard)
+    views = tuple(tuple(scale * line for line in late_sightings(d).outline) for scale in (2.0, 0.5))
+    data = late_sightings(d, mates=mates, heard=heard, mate_outlines=views)
     view.record(data, tmp_path / "page.html")
     played = messages(tmp_path / "page.html")
     places = [data.pose[-1][where], *mates[-1][where]]
@@ -97,9 +98,14 @@ def test_a_page_holds_the_robots_of_a_team_and_who_has_heard_whom(tmp_path, dime
         yaw = mates[-1, i, 2] if d == 2 else None
         expected = [np.cos(yaw), np.sin(yaw), 0] if d == 2 else mates[-1, i, :3, 0]
         np.testing.assert_allclose(heading, expected, atol=1e-6)
-    canvas = MagicMock(add_line_segments=lambda name, *_, **__: drawn.setdefault(name, MagicMock()))
-    drawn = {}
+    canvas = MagicMock(
+        add_line_segments=lambda name, *_, **__: drawn.setdefault(name, MagicMock()),
+        add_mesh_simple=lambda name, vertices, *_, **__: meshes.setdefault(name, vertices),
+    )
+    drawn, meshes = {}, {}
     scene.LiveScene(canvas, data).show(4 * SUBSTEPS)
+    for i, scale in enumerate((2.0, 0.5)):
+        np.testing.assert_allclose(meshes[f"/mate/{i}/view"], scale * meshes["/agent/view"])
     lines = drawn["/mates/heard"].points[..., :d]
     np.testing.assert_allclose(lines[0], [places[0], places[1]], atol=1e-5)
     dashes = lines[1:]

@@ -19,7 +19,7 @@ from foveate.scenario.sensor import ScheduleSettings, SensorSettings
 from foveate.scenario.target import VelocityTarget
 from foveate.scenario.team import RadioSettings, TeamSettings
 from foveate.simulation.episodes import training_episode
-from foveate.simulation.records import TRUE
+from foveate.simulation.records import SURROGATE, TRUE
 from foveate.simulation.rollout import rollout
 from foveate.simulation.team.rollout import first_observations
 
@@ -52,15 +52,15 @@ def with_radio(radio):
     return replace(SCENARIO, team=TeamSettings(agents=M, robots=(FAST, FAR), radio=radio))
 
 
-def run(scenario, problem, policy, key):
+def run(scenario, problem, policy, key, protocol=TRUE):
     episode = training_episode(problem, scenario.scenes, key, noise=True)
-    return episode, rollout(problem, policy, episode, TRUE, key)
+    return episode, rollout(problem, policy, episode, protocol, key)
 
 
 @functools.lru_cache
-def play(scenario, name="nearest"):
+def play(scenario, name="nearest", protocol=TRUE):
     problem, policy = scenario.problem(), heuristic_in(scenario, name)
-    played = jax.jit(lambda key: run(scenario, problem, policy, key))(jax.random.key(4))
+    played = jax.jit(lambda key: run(scenario, problem, policy, key, protocol))(jax.random.key(4))
     return problem, *jax.tree.map(np.asarray, played)
 
 
@@ -117,9 +117,9 @@ def test_a_policy_is_told_its_own_robot_and_that_of_every_mate():
         np.testing.assert_allclose(mate.sensor.V, STDS[m] ** 2 * np.eye(2))
 
 
-@pytest.mark.parametrize("name", ["nearest", "window", "post"])
-def test_without_a_radio_each_is_the_single_robot_of_its_kind(name):
-    _, episode, trace = play(with_radio(SILENT), name)
+@pytest.mark.parametrize(("name", "protocol"), [("nearest", SURROGATE), ("window", TRUE), ("post", TRUE)])
+def test_without_a_radio_each_is_the_single_robot_of_its_kind(name, protocol):
+    _, episode, trace = play(with_radio(SILENT), name, protocol)
     episode = jax.tree.map(jnp.asarray, episode)
     for m in range(M):
         alone = replace(SCENARIO.of_robot(m), team=None)
@@ -128,7 +128,9 @@ def test_without_a_radio_each_is_the_single_robot_of_its_kind(name):
         start = episode.pose if m == 0 else episode.team.poses[m - 1]
         truth = replace(episode.truth, measurement_noise=noise)
         own = replace(episode, pose=start, truth=truth, team=None)
-        single = jax.jit(lambda own, p=problem, policy=policy: rollout(p, policy, own, TRUE, jax.random.key(4)))(own)
+        single = jax.jit(lambda own, p=problem, policy=policy: rollout(p, policy, own, protocol, jax.random.key(4)))(
+            own
+        )
         np.testing.assert_array_equal(trace.team.visible[:, m], single.visible)
         np.testing.assert_allclose(trace.team.log_det[:, m], single.log_det, atol=1e-10)
         np.testing.assert_allclose(trace.team.pose[:, m], single.pose, atol=1e-10)
