@@ -100,7 +100,7 @@ def test_a_page_holds_the_robots_of_a_team_and_who_has_heard_whom(tmp_path, dime
         np.testing.assert_allclose(heading, expected, atol=1e-6)
     canvas = MagicMock(
         add_line_segments=lambda name, *_, **__: drawn.setdefault(name, MagicMock()),
-        add_mesh_simple=lambda name, vertices, *_, **__: meshes.setdefault(name, vertices),
+        add_mesh_simple=lambda name, vertices, *_, **__: meshes.update({name: vertices}) or MagicMock(),
     )
     drawn, meshes = {}, {}
     scene.LiveScene(canvas, data).show(4 * SUBSTEPS)
