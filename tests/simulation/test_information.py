@@ -1,5 +1,7 @@
 """The information of a plan: a textbook filter, finite differences, the rollout of training."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,13 +15,16 @@ from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.receding import FixedActions
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.sensor import ScheduleSettings
-from foveate.simulation.information import Future, final_log_det, mean_score, score
+from foveate.simulation.information import Future, final_log_det, looks, mean_score, score
 from foveate.simulation.records import SURROGATE
 from foveate.simulation.rollout import log_dets
 
 
-def covariance_filter(problem, future, action, weight):
-    """log det Y by the textbook covariance filter, with V / weight as the noise of a target that counts so much."""
+def covariance_filter(problem, future, action, weight, mates=(0.0, 0.0)):
+    """log det Y by the textbook covariance filter, with V / weight as the noise of a target that counts so much.
+
+    In each step each target is measured by the others of a team, too, with the noise V / `mates`.
+    """
     rotation_of, motion, sensor = problem.agent.space.rotation, problem.motion, problem.sensor
     A, W, H = (np.asarray(x) for x in (motion.A, motion.W, sensor.H))
     pose = future.pose
@@ -33,6 +38,9 @@ def covariance_filter(problem, future, action, weight):
             if w > 0:
                 V = np.asarray(sensor.covariance(rotation_of(pose), points[j])) / w
                 gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
+                P = P - gain @ H @ P
+            if mates[j] > 0:
+                gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.asarray(sensor.V) / mates[j])
                 P = P - gain @ H @ P
             covariances[j] = P
     return -np.array([np.linalg.slogdet(P)[1] for P in covariances])
@@ -106,6 +114,22 @@ def test_score_is_that_of_the_one_simulation():
     future = future_of(PROBLEM, episode.pose, mean[1:], np.linalg.inv(np.linalg.inv(Y) + np.asarray(PROBLEM.motion.W)))
     found = jax.jit(lambda f: final_log_det(PROBLEM, f, action, PAPER_SOFTNESS))(future)
     np.testing.assert_allclose(found, simulated[-1], rtol=1e-12)
+
+
+def test_looks_of_a_team_are_measurements_and_what_is_told_is_the_share_of_steps_in_view():
+    future, mates = spatial_future(), (0.25, 1.5)
+    action = jnp.asarray(np.random.default_rng(5).uniform(-1, 1, (4, 3)))
+    found = jax.jit(lambda f: final_log_det(SPATIAL, f, action, None))(replace(future, mates=jnp.asarray(mates)))
+    expected = covariance_filter(SPATIAL, future, action, lambda distance: distance <= 0, mates)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    pose, in_view = future.pose, []
+    for k in range(4):
+        pose = SPATIAL.agent.move(pose, action[k], SPATIAL.tau)
+        in_view.append(SPATIAL.sees(pose, SPATIAL.motion.position(future.state[k])))
+    mean = np.mean(in_view[:3], axis=0)
+    assert 0 < mean.max() <= 1
+    short = replace(future, horizon=jnp.array(3), present=jnp.array([True, False]))
+    np.testing.assert_allclose(jax.jit(lambda f: looks(SPATIAL, f, action, None))(short), mean * [1, 0])
 
 
 def test_a_schedule_is_rejected():

@@ -125,11 +125,12 @@ def planner_scores(
 
 
 def planning_work(experiment: Experiment, settings: PlanSettings) -> float:
-    """Numbers that a planner updates in an episode: of all matrices, steps ahead, iterations, starts and decisions."""
+    """Numbers that planners update in an episode: of all matrices, steps ahead, iterations, starts, steps, robots."""
     scenario = experiment.scenario
     n, n_y = scenario.scenes.targets_max, scenario.problem().motion.state_size
     steps = scenario.scenes.horizon(n)
-    return float(steps * min(WINDOW, steps) * settings.iterations * settings.starts * n * n_y**2)
+    agents = 1 if scenario.team is None else scenario.team.agents
+    return float(steps * min(WINDOW, steps) * settings.iterations * settings.starts * agents * n * n_y**2)
 
 
 def _planner_score(given: HeldOut, settings: PlanSettings, episode: Episode, key: Key) -> "Scalar | Estimates":

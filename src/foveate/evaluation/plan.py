@@ -70,6 +70,14 @@ class PlanOptions:
         given = {"starts": self.starts, "iterations": self.iterations}
         return replace(settings, **{name: value for name, value in given.items() if value is not None})
 
+    def check_team(self, problem: Problem) -> None:
+        """Raise InputError for a plan that robots of a team cannot make each on its own."""
+        name = "omniscient" if self.omniscient else self.method
+        right = f"expected icr or icr-STARTS, with scenario.team.agents = {problem.team and problem.team.agents}"
+        for_one = self.omniscient or self.open_loop or self.refine is not None
+        if problem.team is not None and for_one:
+            raise InputError(f"{name}: {right}: it plans for a single robot")
+
     def planner(self, problem: Problem, protocol: str, policy: Policy | None, horizon: int) -> Policy:
         """The planner for episodes of `horizon` steps; `policy` is the one to refine."""
         if self.open_loop:
@@ -94,17 +102,9 @@ def planning_subject(
         raise InputError(f"refine {refine}: expected the policy to refine: give run")
     if run is None:
         settings = experiment_from(experiment)
-        _require_single(settings)
         return settings, None, None, None if isinstance(experiment, Scenario) else settings.training.objective
     subject = subject_of(run)
-    _require_single(subject.experiment)
     return subject.experiment, None if refine is None else subject.network(), subject.name, subject.objective
-
-
-def _require_single(experiment: Experiment) -> None:
-    team = experiment.scenario.problem().team
-    if team is not None:
-        raise InputError(f"scenario.team.agents = {team.agents}: expected 1: planners decide for single robots")
 
 
 def evaluate_plans(
@@ -128,6 +128,7 @@ def evaluate_plans(
     if options.omniscient or options.refine is not None:
         require_ids(experiment.scenario, "omniscient" if options.omniscient else f"refine {options.refine}")
     problem, scene_settings = experiment.scenario.problem(), experiment.scenario.scenes
+    options.check_team(problem)
     protocols = protocols_in(experiment.scenario, protocols)
     suite = prepare(problem, scene_settings, scenes, seed, episodes, objective)
 

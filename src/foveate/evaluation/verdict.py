@@ -185,8 +185,6 @@ def planned_scores(
     given: HeldOut, settings: PlanSettings, episodes: int, report: Callable[[int], None] = lambda done: None
 ) -> Scores | str:
     """The scores of `planner_scores`, or the reason why it cannot plan in this scenario."""
-    if given.problem.team is not None:
-        return "planners decide for single robots"
     try:
         return planner_scores(given, settings, episodes, report)
     except InputError as error:

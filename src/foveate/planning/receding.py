@@ -1,23 +1,26 @@
 """Receding-horizon planning: at every step, plan on the current belief and take the first action.
 
-Each target's later inputs are predicted as the mean of its inputs so far.
+Each target's later inputs are predicted as the mean of its inputs so far. The robots of a team plan in turn: in each
+step one of them makes a new plan, which expects of the others the looks that they have told of theirs.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness
-from foveate.planning.shooting import PlanSettings, plan
+from foveate.planning.shooting import PlanSettings, ascend, plan
 from foveate.planning.tours import straight_ahead
-from foveate.simulation.information import believed_future
+from foveate.simulation.information import believed_future, looks
 from foveate.simulation.records import Episode, Instant, Observation, Policy, Protocol, State
 from foveate.simulation.rollout import decider, simulate
 from foveate.simulation.step import act
+from foveate.simulation.team.records import TeamView
 from foveate.types import Action, Count, Key
 
 MAX_WARM_START_ACTION = 0.99
@@ -55,13 +58,15 @@ class OpenLoop(Policy):
 class Memory(eqx.Module):
     """Memory of a planner: the last plan without its first step, the sum of the inputs of `steps` steps, the policy's.
 
-    The planner counts the steps itself: on a robot its memory may begin later than the observations.
+    The planner counts the steps itself: on a robot its memory may begin later than the observations. `looks` are those
+    of the last plan at each target in a step, for the others of a team.
     """
 
     raw: Float[Array, "K m"]
     total_input: Float[Array, "n m_y"]
     steps: Count
     policy: Any
+    looks: Float[Array, " n"]
 
 
 class Receding(Policy):
@@ -79,22 +84,34 @@ class Receding(Policy):
         """A plan straight ahead, and no inputs yet."""
         memory = None if self.policy is None else self.policy.start(observation)
         raw, total = straight_ahead(self.problem, self.window), jnp.zeros_like(observation.known_input)
-        return Memory(raw, total, jnp.zeros((), int), memory)
+        return Memory(raw, total, jnp.zeros((), int), memory, jnp.zeros_like(observation.mean[:, 0]))
+
+    def claims(self, observation: Observation, memory: Memory) -> Float[Array, " n"]:
+        """The looks of the plan at each target in a step."""
+        return memory.looks
 
     def __call__(self, observation: Observation, memory: Memory, key: Key) -> tuple[Action, Memory]:
         """The first action of the best plan for the predicted future."""
         plan_key, policy_key = jax.random.split(key)
         total = memory.total_input + observation.known_input
         mean_input = total / jnp.asarray(memory.steps + 1, total.dtype)
-        future = believed_future(self.problem, observation, mean_input, self.window, jnp.maximum(observation.left, 1))
+        team = observation.team
+        problem = self.problem if team is None else self.problem.of_robot(team.number)
+        future = believed_future(problem, observation, mean_input, self.window, jnp.maximum(observation.left, 1))
+        future = future if team is None else replace(future, mates=looks_of_mates(team, self.window))
         starts, inner = memory.raw[None], memory.policy
         if self.policy is not None:
             action, inner = self._policy_actions(self.policy, observation, inner, mean_input, policy_key)
             raw = jnp.arctanh(jnp.clip(action, -MAX_WARM_START_ACTION, MAX_WARM_START_ACTION))
             starts = jnp.concatenate([raw[None], starts])
-        best = plan(self.problem, future, self.settings, plan_key, starts)
-        shifted = jnp.concatenate([best.raw[1:], straight_ahead(self.problem, 1)])
-        return best.action[0], Memory(shifted, total, memory.steps + 1, inner)
+        raw, told = plan(problem, future, self.settings, plan_key, starts).raw, memory.looks
+        if team is not None:
+            kept = ascend(problem, future, memory.raw, self.settings).raw
+            raw = jnp.where(has_turn(team, memory.steps), raw, kept)
+            keep = None if self.settings.keep is None else Softness(*self.settings.keep)
+            told = looks(problem, future, jnp.tanh(raw), keep)
+        shifted = jnp.concatenate([raw[1:], straight_ahead(problem, 1)])
+        return jnp.tanh(raw[0]), Memory(shifted, total, memory.steps + 1, inner, told)
 
     def _policy_actions(
         self, policy: Policy, observation: Observation, memory: Any, mean_input: Float[Array, "n m_y"], key: Key
@@ -113,3 +130,17 @@ class Receding(Policy):
         rest = (future, protocol, key, lambda done: done.action)
         later = simulate(problem, decider(policy), *rest, memory=memory, state=after)
         return jnp.concatenate([action[None], later]), memory
+
+
+def has_turn(team: TeamView, step: Count) -> Bool[Array, ""]:
+    """True for the robot whose turn it is to plan, and for those that have not had one yet.
+
+    If all planned in every step, two that look at the same target could leave it together, and come back together.
+    """
+    return (step % len(team.age) == team.number) | (step < team.number)
+
+
+def looks_of_mates(team: TeamView, window: int) -> Float[Array, " n"]:
+    """Looks at each target in a step that the others have told of, less the share of their plans that is over."""
+    left = jnp.clip(1.0 - team.age.astype(team.claims.dtype) / window, 0.0, 1.0)
+    return jnp.sum(jnp.where(jnp.arange(len(left)) == team.number, 0.0, left)[:, None] * team.claims, axis=0)

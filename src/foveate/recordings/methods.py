@@ -1,13 +1,15 @@
 """Methods of a replay by their names: the policy, heuristics, and planners in receding horizon."""
 
 from collections.abc import Sequence
+from typing import cast
 
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.evaluation.plan import online_planner
 from foveate.experiment.resolve import Subject
-from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS
+from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS, Assignment
+from foveate.planning.named import assigned_in
 from foveate.simulation.records import Policy
 
 PROTOCOL = "true"
@@ -25,7 +27,7 @@ def replay_methods(method: str | Sequence[str], has_ids: bool = True) -> tuple[s
         one, plus, rule = name.partition("+")
         if name == "all":
             names += known
-        elif online_planner(name) is not None or (one in known and (not plus or rule in ASSIGNMENTS)):
+        elif (one in known or online_planner(one) is not None) and (not plus or rule in ASSIGNMENTS):
             names.append(name)
         else:
             team = f"in a team also NAME+RULE with {', '.join(ASSIGNMENTS)}"
@@ -37,13 +39,15 @@ def replay_methods(method: str | Sequence[str], has_ids: bool = True) -> tuple[s
 def method_in(subject: Subject, name: str, box_world: Float[Array, "2 d"], steps: int) -> Policy:
     """The policy, heuristic or planner of a name, for a replay of this number of steps in a box [m].
 
-    Raises InputError for a planner in a team, and an assignment without one.
+    Raises InputError for an assignment without a team, and for the refinement of a policy in one.
     """
-    options = online_planner(name)
+    one, _, rule = name.partition("+")
+    options = online_planner(one)
     if options is None:
         return subject.policy(name, box_world)
-    if (team := subject.experiment.scenario.problem().team) is not None:
-        right = "planners decide for single robots"
-        raise InputError(f"method {name!r}: expected no planner, with scenario.team.agents = {team.agents}: {right}")
+    scenario = subject.experiment.scenario
+    problem = scenario.problem()
+    options.check_team(problem)
     refined = None if options.refine is None else subject.network()
-    return options.planner(subject.experiment.scenario.problem(), PROTOCOL, refined, steps)
+    planner = options.planner(problem, PROTOCOL, refined, steps)
+    return assigned_in(scenario, planner, cast(Assignment, rule)) if rule else planner

@@ -23,7 +23,8 @@ class Future(eqx.Module):
     """Known or predicted future that a plan is made for.
 
     `state` holds the targets' states after each step, `information` the P_1 predicted for the first. Only the first
-    `horizon` steps count. `map_number` is that of the map among obstacles.
+    `horizon` steps count. `map_number` is that of the map among obstacles. `mates` are the looks at each target in a
+    step that are expected of the other robots of a team.
     """
 
     pose: Pose
@@ -32,6 +33,7 @@ class Future(eqx.Module):
     present: Bool[Array, " n"]
     horizon: Count
     map_number: Count | None = None
+    mates: Float[Array, " n"] | None = None
 
 
 def believed_future(
@@ -74,10 +76,27 @@ def mean_score(problem: Problem, future: Future, action: Float[Array, "K m"], le
     return jnp.sum(jnp.where(counts, log_dets, 0.0)) / jnp.sum(counts).astype(log_dets.dtype)
 
 
+def looks(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Float[Array, " n"]:
+    """Looks at each target in a step, the mean over the steps that count, weighted by the soft view."""
+    _, weight, counts = _looks(problem, future, action, level)
+    return jnp.where(future.present, jnp.mean(weight, axis=0, where=counts[:, None]), 0.0)
+
+
 def _added(
     problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
 ) -> tuple[Float[Array, "K n n_y n_y"], Bool[Array, " K"]]:
     """Information M_k that each step adds to each target, and the steps that count."""
+    gain, weight, counts = _looks(problem, future, action, level)
+    added = weight[..., None, None] * gain
+    if future.mates is not None:  # as if all measured like this robot
+        added += future.mates[:, None, None] * problem.sensor.information(problem.sensor.V)
+    return jnp.where(counts[:, None, None, None], added, 0.0), counts
+
+
+def _looks(
+    problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
+) -> tuple[Float[Array, "K n n_y n_y"], Float[Array, "K n"], Bool[Array, " K"]]:
+    """Information of a look at each target in each step, the weight of the looks, and the steps that count."""
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: planners need steps of one kind: leave [schedule] out")
     problem = problem.of_map(future.map_number)
@@ -102,9 +121,7 @@ def _added(
         return gain, weight
 
     poses = jax.lax.scan(move, future.pose, (action, kept_off))[1]
-    gain, weight = jax.vmap(look)(poses, future.state)
-    counts = jnp.arange(len(action)) < future.horizon
-    return jnp.where(counts[:, None, None, None], weight[..., None, None] * gain, 0.0), counts
+    return *jax.vmap(look)(poses, future.state), jnp.arange(len(action)) < future.horizon
 
 
 @jax.custom_vjp

@@ -1,0 +1,62 @@
+"""Planning in turn by the robots of a team: whose turn it is, what is expected of the others, and who looks where."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.plans import FEW
+
+from foveate.evaluation.evaluate import evaluate_traces, prepare
+from foveate.experiment.presets import PRESETS
+from foveate.planning.receding import Receding, has_turn, looks_of_mates
+from foveate.scenario.scenes import Scene
+from foveate.scenario.team import RadioSettings, TeamSettings
+from foveate.simulation.records import TRUE
+from foveate.simulation.team.records import TeamView
+
+STEPS = 20
+AROUND = Scene(
+    id="around",
+    agent=(0.0, 0.0, 0.0),
+    others=((0.0, 0.0, 0.0),),
+    targets=((-6.0, -3.0), (-6.0, 3.0), (6.0, -3.0), (6.0, 3.0)),
+    drift=((0.0, 0.0),) * 4,
+    horizon=STEPS,
+)
+"""Two robots beside each other, and four targets at rest, two in front and two behind."""
+
+
+def view(number, age, claims):
+    return TeamView(jnp.array(number), jnp.zeros((len(age), 3)), jnp.array(age), jnp.array(claims))
+
+
+def test_one_robot_has_its_turn_after_the_first_round():
+    turns = np.array([[has_turn(view(i, [0] * 3, np.zeros((3, 1))), jnp.array(k)) for i in range(3)] for k in range(9)])
+    np.testing.assert_array_equal(turns[:2], [[True, True, True], [False, True, True]])
+    np.testing.assert_array_equal(turns[3:], np.tile(np.eye(3, dtype=bool), (2, 1)))
+
+
+def test_what_is_expected_of_the_others_wears_off():
+    """The plan of robot 0 is half over, that of robot 2 entirely; its own does not count."""
+    told = looks_of_mates(view(1, [5, 0, 12], [[0.8, 0.2], [1.0, 1.0], [0.6, 0.6]]), 10)
+    np.testing.assert_allclose(told, [0.4, 0.1])
+
+
+def seen(radio):
+    """Targets that each robot has measured in 20 steps, (robots, targets)."""
+    paper = PRESETS["paper"].scenario
+    scenario = replace(paper, team=TeamSettings(agents=2, radio=radio))
+    problem = scenario.problem()
+    suite = prepare(problem, scenario.scenes, [AROUND], seed=3)
+    settings = replace(FEW, starts=8)
+    policy = Receding(problem=problem, settings=settings, window=STEPS)
+    return np.asarray(evaluate_traces(suite, policy, TRUE, chunk=1).team.visible[0].any(axis=0))
+
+
+@pytest.mark.slow
+def test_two_robots_beside_each_other_part():
+    """With the same belief and the same place; by radio they see all four targets together."""
+    visible = seen(RadioSettings())
+    assert visible.any(axis=0).all()
+    assert (visible.sum(axis=1) < 4).all()
