@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from helpers.plans import FEW
 
+from foveate.errors import InputError
 from foveate.evaluation.evaluate import evaluate_traces, prepare
+from foveate.evaluation.plan import PlanOptions
 from foveate.experiment.presets import PRESETS
 from foveate.planning.receding import Receding, has_turn, looks_of_mates
 from foveate.scenario.scenes import Scene
@@ -51,7 +53,9 @@ def seen(radio):
     suite = prepare(problem, scenario.scenes, [AROUND], seed=3)
     settings = replace(FEW, starts=8)
     policy = Receding(problem=problem, settings=settings, window=STEPS)
-    return np.asarray(evaluate_traces(suite, policy, TRUE, chunk=1).team.visible[0].any(axis=0))
+    trace = evaluate_traces(suite, policy, TRUE, chunk=1)
+    assert trace.team is not None
+    return np.asarray(trace.team.visible[0].any(axis=0))
 
 
 @pytest.mark.slow
@@ -60,3 +64,11 @@ def test_two_robots_beside_each_other_part():
     visible = seen(RadioSettings())
     assert visible.any(axis=0).all()
     assert (visible.sum(axis=1) < 4).all()
+
+
+@pytest.mark.parametrize("options", [{"omniscient": True}, {"open_loop": True}, {"refine": 3}], ids=str)
+def test_plans_of_single_robots_are_rejected(options):
+    scenario = replace(PRESETS["paper"].scenario, team=TeamSettings(agents=2))
+    with pytest.raises(InputError, match=r"expected icr or icr-STARTS, with scenario\.team\.agents = 2"):
+        PlanOptions(**options).check_team(scenario.problem())
+    PlanOptions(starts=3).check_team(scenario.problem())

@@ -16,7 +16,8 @@ class Plan(Command):
     --starts N: better plans, from tours of the targets too, under a view that hardens as the ascent proceeds.
     --open-loop: one plan, at the start. --omniscient: a reference (no bound), which knows all inputs and true
     positions, without noise; its plans are cached. --run RUN --refine N: the actions of a trained policy, improved by N
-    ascent steps at every decision. Scenes, noise and table are those of `foveate evaluate`.
+    ascent steps at every decision. The robots of a team plan in turn. Scenes, noise and table are those of `foveate
+    evaluate`.
 
       foveate plan --scenes table1 --omniscient
       foveate plan --scenes table1 --starts 16 --protocol true --json plan.json
