@@ -65,6 +65,11 @@ class OneOf(Policy):
         """The memories of all policies."""
         return tuple(policy.start(observation) for policy in self.policies)
 
+    def claims(self, observation: Observation, memory: tuple[Any, ...]) -> Float[Array, " n"]:
+        """What the policy tells its team."""
+        told = [policy.claims(observation, own) for policy, own in zip(self.policies, memory, strict=True)]
+        return jnp.stack(told)[self.index]
+
     def __call__(self, observation: Observation, memory: tuple[Any, ...], key: Key) -> tuple[Action, tuple[Any, ...]]:
         """The action of the policy; only its own memory changes."""
         branches = [partial(self._decide, i, observation, key) for i in range(len(self.policies))]

@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from foveate.errors import InputError
 from foveate.models.problem import Problem
@@ -35,6 +36,10 @@ class KeepOff(Policy):
     def start(self, observation: Observation) -> Any:
         """The memory of the policy."""
         return self.policy.start(observation)
+
+    def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
+        """What the policy tells its team."""
+        return self.policy.claims(observation, memory)
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The policy's action, shortened if need be."""

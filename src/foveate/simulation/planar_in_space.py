@@ -80,6 +80,10 @@ class EmbeddedPolicy(Policy):
         """The planar policy's memory."""
         return self.planar.start(self._observation(observation))
 
+    def claims(self, observation: Observation, memory: Any) -> Float[Array, " n"]:
+        """What the planar policy tells its team."""
+        return self.planar.claims(self._observation(observation), memory)
+
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The planar policy's action at [x, y, yaw]."""
         return self.planar(self._observation(observation), memory, key)
