@@ -19,6 +19,9 @@ from foveate.learning.windows import cut
 from foveate.learning.worlds import worlds_of
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer import PointerSettings
+from foveate.scenario.agent import DifferentialDrive
+from foveate.scenario.field_of_view import TriangleView
+from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.team import RadioSettings, TeamSettings
@@ -28,6 +31,7 @@ from foveate.simulation.rollout import rollout
 from foveate.simulation.team.step import start
 
 M, N, K = 2, 2, 6
+FAST = RobotSettings(agent=DifferentialDrive(v_max_m_s=9.0), view=TriangleView(depth_m=1.0))
 EXPERIMENT = Experiment(
     scenario=Scenario(
         scenes=SceneSettings(targets_min=N, targets_max=N, steps=K, half_side_per_target_m=1.5, drift_m_s=(0.1, 0.1)),
@@ -98,8 +102,11 @@ def test_the_critic_sees_the_tokens_of_all_robots(played):
 
 @pytest.mark.exhaustive
 @pytest.mark.slow
-def test_a_training_ends_with_a_policy_for_teams(tmp_path):
-    outcome = train(EXPERIMENT, tmp_path / "run")
+@pytest.mark.parametrize("robots", [None, (RobotSettings(), FAST)], ids=["alike", "different"])
+def test_a_training_ends_with_a_policy_for_teams(robots, tmp_path):
+    assert EXPERIMENT.scenario.team is not None
+    scenario = replace(EXPERIMENT.scenario, team=replace(EXPERIMENT.scenario.team, robots=robots))
+    outcome = train(replace(EXPERIMENT, scenario=scenario), tmp_path / "run")
     assert outcome.epochs == 1
     assert load_run(tmp_path / "run")[1].tells_team
 

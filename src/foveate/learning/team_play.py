@@ -67,7 +67,7 @@ def play_team(
 
 
 def as_one_set(tokens: Tokens) -> Tokens:
-    """Tokens (K, M, n, ..) of all robots as those (K, M n, ..) of one, of whose axes all have the same unit."""
+    """Tokens (K, M, n, ..) of all robots as those (K, M n, ..) of one, with the first's unit: no critic reads it."""
 
     def joined(x):
         return x.reshape(x.shape[0], -1, *x.shape[3:])
