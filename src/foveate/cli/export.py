@@ -21,7 +21,7 @@ class Export(Command):
     """Run folder of `foveate train`, or name of a preset (its trained policy comes with the package)."""
     out: Annotated[tyro.conf.Positional[Path], option("FILE.onnx")]
     """File to write."""
-    robot: int | None = None
+    robot: Annotated[int | None, option("N")] = None
     """Robot of a team of different kinds, by its number from 0: the file is for robots of its kind."""
     opset: int = 17
     """ONNX operator set, 13 to 24: a lower one for an old runtime."""
