@@ -22,7 +22,7 @@ from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
 from foveate.scenario.team import TeamSettings
-from foveate.simulation.records import TRUE
+from foveate.simulation.records import TRUE, Policy
 from foveate.simulation.rollout import rollout
 from foveate.simulation.suites import scene_episodes
 from foveate.simulation.team.rollout import first_observations
@@ -70,6 +70,30 @@ def test_hungarian_equals_scipy_on_the_price_of_every_robot(observed):
     for rule in ("hungarian", "auction"):
         targets = assigned(observed, rule)[0]
         assert cost[targets].sum() == pytest.approx(cost[rows, columns].sum())
+
+
+class Told(Policy):
+    """Remembers the claims that it is told."""
+
+    def start(self, observation):
+        return observation.team.claims
+
+    def __call__(self, observation, memory, key):
+        return jnp.zeros(2), observation.team.claims
+
+
+def test_the_policy_in_an_auction_is_told_who_has_which_target_and_no_bids(observed):
+    policy, bids = assigned_in(SCENARIO, Told(), "auction"), np.random.default_rng(3).uniform(-9, 9, (M, N))
+    seen = eqx.tree_at(lambda o: (o.team.claims, o.step), observed[1], (jnp.tile(bids, (M, 1, 1)), jnp.full(M, 2)))
+
+    def decide(each):
+        return policy(each, policy.start(each), jax.random.key(0))[1]
+
+    memory = jax.jit(jax.vmap(decide))(seen)
+    for m in range(M):
+        assert set(np.unique(memory.own[m])) == {0.0, 1.0}
+        np.testing.assert_array_equal(memory.own[m].sum(axis=0), np.ones(N))
+        np.testing.assert_array_equal(memory.own[m][m], memory.targets[m])
 
 
 def test_hungarian_goes_by_the_limits_and_view_of_every_robot():

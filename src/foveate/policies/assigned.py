@@ -60,8 +60,8 @@ class Assigned(Policy):
         """Assign before the first decision."""
         nothing = jnp.zeros_like(observation.present)
         first = AssignedMemory((), nothing, jnp.zeros_like(observation.mean[:, 0]))
-        targets, bids = self._assigned(observation, first)
-        return AssignedMemory(self.policy.start(replace(observation, present=targets)), targets, bids)
+        shown, bids = self._shown(observation, first)
+        return AssignedMemory(self.policy.start(shown), shown.present, bids)
 
     def claims(self, observation: Observation, memory: AssignedMemory) -> Float[Array, " n"]:
         """The bids of an auction; else 1 for the robot's targets."""
@@ -69,14 +69,12 @@ class Assigned(Policy):
 
     def __call__(self, observation: Observation, memory: AssignedMemory, key: Key) -> tuple[Action, AssignedMemory]:
         """Decide as if the robot's targets were all."""
-        targets, bids = self._assigned(observation, memory)
-        action, own = self.policy(replace(observation, present=targets), memory.own, key)
-        return action, AssignedMemory(own, targets, bids)
+        shown, bids = self._shown(observation, memory)
+        action, own = self.policy(shown, memory.own, key)
+        return action, AssignedMemory(own, shown.present, bids)
 
-    def _assigned(
-        self, observation: Observation, memory: AssignedMemory
-    ) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
-        """The targets of this robot, all where it has none, and its bids."""
+    def _shown(self, observation: Observation, memory: AssignedMemory) -> tuple[Observation, Float[Array, " n"]]:
+        """The observation of this robot's targets, all where it has none, and its bids."""
         team = observation.team
         if team is None:
             raise InputError("method: expected no assignment (NAME+RULE) for a single robot")
@@ -89,8 +87,12 @@ class Assigned(Policy):
         elif self.rule == "hungarian":
             mine = memory.targets.astype(cost.dtype)
             cost = cost - KEEP_NATS * jnp.where(own[:, None], mine, team.claims)
-        targets = shares(cost, observation.present, self.rule == "greedy")[team.number]
-        return jnp.where(targets.any(), targets, observation.present), bids
+        chosen = shares(cost, observation.present, self.rule == "greedy")
+        targets = chosen[team.number]
+        if self.rule == "auction":  # bids are prices, and say nothing to a policy that reads claims as its own kind
+            team = replace(team, claims=chosen.astype(cost.dtype))
+        targets = jnp.where(targets.any(), targets, observation.present)
+        return replace(observation, present=targets, team=team), bids
 
     def _costs(self, observation: Observation, team: TeamView) -> Float[Array, "M n"]:
         """Distance [m], or price [nat], of every target for every robot, where it was heard last."""
