@@ -70,6 +70,21 @@ def test_a_track_that_nobody_looks_at_is_not_reported_until_it_is_detected_again
     assert own.update(POSE, [[2.1, 1.0]]).confirmed == (0,)
 
 
+def test_a_track_that_is_lost_while_another_begins_is_said_to_be_lost():
+    """A known target is in the belief at once, and reported where it is located."""
+    own = foveate.DetectionTracker(SCENARIO, replace(SETTINGS, cutoff_m=1.0))
+    looked(own, [[[2.0, 1.0]], [[2.1, 1.0]], [[2.1, 1.0]]])
+    for _ in range(300):
+        own.predict()
+    assert own.ids == ()
+    vague, sure = own.add([-4.0, 0.0]), own.add([0.0, 5.0], 0.01 * np.eye(2))
+    assert own.ids == (sure,)
+    assert own.belief().targets == 3
+    seen = own.update([1e3, 0.0, 0.0], [])
+    assert (seen.confirmed, seen.lost) == ((), (0,))
+    assert vague not in own.ids
+
+
 def test_two_targets_in_any_order_keep_their_ids():
     own = tracker()
     looked(own, [[[2.0, 1.0], [-3.0, 0.0]], [[-3.0, 0.1], [2.0, 1.1]], [[2.0, 1.2], [-3.0, 0.2]]])

@@ -163,7 +163,7 @@ def test_a_file_is_for_one_kind_of_robot_of_a_team(tmp_path, capsys):
     run, out = f"any@{tmp_path / 'team.toml'}", str(tmp_path / "robot.onnx")
     assert main(["export", run, out]) == 2
     error = capsys.readouterr().err.strip()
-    assert error.endswith("expected the scenario of one robot: Scenario.of_robot(number), or --robot NUMBER")
+    assert error.endswith("RobotPolicy.for_robot(number), or export --robot NUMBER")
     assert len(error.splitlines()) == 1
     assert main(["export", run, out, "--robot", "1"]) == 0
     policy = foveate.load(run)

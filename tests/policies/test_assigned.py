@@ -96,6 +96,15 @@ def test_the_policy_in_an_auction_is_told_who_has_which_target_and_no_bids(obser
         np.testing.assert_array_equal(memory.own[m][m], memory.targets[m])
 
 
+def test_a_robot_without_a_target_claims_none_and_is_shown_all(observed):
+    one = eqx.tree_at(lambda o: o.present, observed[1], jnp.tile(jnp.arange(N) == 1, (M, 1)))
+    for rule in ("greedy", "hungarian"):
+        targets, policy, memory = assigned(observed, rule, one)
+        assert targets.sum() == 1
+        claims = jax.vmap(policy.claims)(one, memory)
+        np.testing.assert_array_equal(claims, targets)
+
+
 def test_hungarian_goes_by_the_limits_and_view_of_every_robot():
     """A price, as scipy assigns it, is that of each robot alone; what a quick robot is given depends on its mates."""
     quick = RobotSettings(agent=DifferentialDrive(v_max_m_s=12.0), view=TriangleView(depth_m=4.0, angle_deg=90.0))

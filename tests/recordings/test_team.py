@@ -146,7 +146,7 @@ def test_a_single_robot_has_no_columns_of_a_team(scenario, recording):
 
 def test_what_is_for_the_other_kind_of_scenario_is_rejected(scenario, recording):
     for given, method, why in (
-        (team_of(scenario, SILENT), "refine-3", "refine-3: expected icr or icr-STARTS, with scenario.team.agents = 3"),
+        (team_of(scenario, SILENT), "refine-3", "refine-3: expected none with scenario.team.agents = 3"),
         (scenario, "icr+greedy", "the scenario has no team"),
         (scenario, "nearest+greedy", "the scenario has no team"),
         (team_of(scenario, SILENT), "nearest+best", "NAME"),

@@ -104,3 +104,5 @@ def test_a_node_is_one_of_the_robots_of_a_team(tmp_path):
     np.testing.assert_allclose([each.decide(ahead, np.zeros(3))[0] for each in (first, second)], [4.0, 0.5], atol=1e-3)
     with pytest.raises(InputError, match="robot = 2: expected 0 to 1"):
         load_model(f"any@{path}", 2)
+    with pytest.raises(InputError, match="number: is missing: expected that of this robot in its team"):
+        load_model(f"any@{path}")

@@ -50,6 +50,13 @@ def test_tables_of_a_robot_inherit_what_they_leave_out(tmp_path):
     assert load_toml(Experiment, path) == experiment
 
 
+def test_a_robot_that_names_the_kind_that_the_scenario_leaves_out_inherits_too(tmp_path):
+    path = tmp_path / "team.toml"
+    path.write_text(TEXT.replace("agent = { v_max", 'agent = { kind = "differential_drive", v_max'))
+    second = load_toml(Experiment, path).scenario.of_robot(1)
+    assert second.agent == DifferentialDrive(v_max_m_s=0.5, w_max_rad_s=0.5)
+
+
 def test_tables_of_a_robot_inherit_defaults_that_no_file_names(tmp_path):
     path = tmp_path / "team.toml"
     path.write_text("[scenario.team]\nagents = 2\n[[scenario.team.robots]]\nview = { depth_m = 3.0 }\n")

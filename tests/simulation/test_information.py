@@ -119,7 +119,8 @@ def test_score_is_that_of_the_one_simulation():
 def test_looks_of_a_team_are_measurements_and_what_is_told_is_the_share_of_steps_in_view():
     future, mates = spatial_future(), (0.25, 1.5)
     action = jnp.asarray(np.random.default_rng(5).uniform(-1, 1, (4, 3)))
-    found = jax.jit(lambda f: final_log_det(SPATIAL, f, action, None))(replace(future, mates=jnp.asarray(mates)))
+    added = jnp.asarray(mates)[:, None, None] * SPATIAL.sensor.information(SPATIAL.sensor.V)
+    found = jax.jit(lambda f: final_log_det(SPATIAL, f, action, None))(replace(future, mates=added))
     expected = covariance_filter(SPATIAL, future, action, lambda distance: distance <= 0, mates)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     pose, in_view = future.pose, []

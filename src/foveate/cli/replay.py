@@ -27,7 +27,8 @@ class Replay(ReadingCommand):
     method: Annotated[tuple[str, ...], option("NAME ..")] = ("all",)
     """Any of policy, random, still, nearest, uncertain, lawnmower, price, window, post; or all of these. Without ids of
     detections also explore, alternate, lookahead. Also planners in receding horizon, which take seconds to minutes:
-    icr, icr-STARTS, refine-STEPS (from the policy's actions)."""
+    icr, icr-STARTS, refine-STEPS (from the policy's actions). In a team also NAME+RULE, which assigns targets to
+    robots: greedy, hungarian, auction."""
     start: Annotated[float | None, option("SECONDS")] = None
     """Start of the part to use [s]."""
     end: Annotated[float | None, option("SECONDS")] = None

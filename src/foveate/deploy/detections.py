@@ -45,9 +45,9 @@ class DetectionTracker(Observing):
 
     Each step: `predict`, decide on `belief`, `inputs` or `observation`, move, detect, `update`. Detections are a plain
     list in any order: which is of which target, which is a false alarm, and how many targets there are, the tracker
-    finds out. Ids of tracks are its own. It reports the tracks that well enough exist and are located, by the settings'
-    `confirm` and `cutoff_m`. A track that is not detected where it should be becomes less likely, and ends; one that
-    nobody looks at becomes uncertain, and is not reported until it is detected again.
+    finds out. Ids of tracks are its own. It reports the tracks that are likely to exist and well located, by the
+    settings' `confirm` and `cutoff_m`. A track that is not detected where it should be becomes less likely, and ends;
+    one that nobody looks at becomes uncertain, and is not reported until it is detected again.
 
     Where false alarms are expected, a detection beyond the scenario's view counts as one: set the view at least as wide
     as the detector's.
@@ -111,6 +111,8 @@ class DetectionTracker(Observing):
     def add(self, position_world: ArrayLike, covariance: ArrayLike | None = None, existence: float = 1.0) -> int:
         """Begin a track before any detection of its target; return its id.
 
+        It is in `belief()` at once, and is reported as soon as it is located to about `cutoff_m`.
+
         Args:
             position_world: Expected position (d,) [m]; the rest of the state begins at 0.
             covariance: Of its state (n_y, n_y); by default the scenario's prior.
@@ -141,7 +143,7 @@ class DetectionTracker(Observing):
             identity=tracks.identity.at[slot].set(name),
         )
         self._population = replace(self._population, tracks=tracks, born=self._population.born + 1)
-        self._reported = self.ids
+        self._reported += (name,) * (name in self.ids)
         return name
 
     def predict(self, dt_s: float | None = None) -> None:

@@ -135,7 +135,8 @@ def planning_work(experiment: Experiment, settings: PlanSettings) -> float:
     n, n_y = scenario.scenes.targets_max, scenario.problem().motion.state_size
     steps = scenario.scenes.horizon(n)
     agents = 1 if scenario.team is None else scenario.team.agents
-    return float(steps * min(WINDOW, steps) * settings.iterations * settings.starts * agents * n * n_y**2)
+    starts = settings.starts + (agents > 1 and settings.starts > 1)
+    return float(steps * min(WINDOW, steps) * settings.iterations * starts * agents * n * n_y**2)
 
 
 def _planner_score(given: HeldOut, settings: PlanSettings, episode: Episode, key: Key) -> "Scalar | Estimates":

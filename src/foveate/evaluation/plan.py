@@ -73,10 +73,10 @@ class PlanOptions:
     def check_team(self, problem: Problem) -> None:
         """Raise InputError for a plan that robots of a team cannot make each on its own."""
         name = "omniscient" if self.omniscient else self.method
-        right = f"expected icr or icr-STARTS, with scenario.team.agents = {problem.team and problem.team.agents}"
         for_one = self.omniscient or self.open_loop or self.refine is not None
         if problem.team is not None and for_one:
-            raise InputError(f"{name}: {right}: it plans for a single robot")
+            right = f"expected none with scenario.team.agents = {problem.team.agents}"
+            raise InputError(f"{name}: {right}: its robots plan in receding horizon, each on its own beliefs")
 
     def planner(self, problem: Problem, protocol: str, policy: Policy | None, horizon: int) -> Policy:
         """The planner for episodes of `horizon` steps; `policy` is the one to refine."""

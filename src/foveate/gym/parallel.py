@@ -122,7 +122,7 @@ class TeamEnv(ParallelEnv):
 
 @functools.lru_cache(maxsize=8)
 def _compiled(scenario: Scenario) -> _Programs:
-    problem, length_m = scenario.problem(), float(scenario.view.depth_m)
+    problem, length_m = scenario.problem(), max(float(kind.view.depth_m) for kind in scenario.kinds)
 
     def features(observation: Observation) -> dict[str, Array]:
         left = observation.left / (observation.step + observation.left)

@@ -99,8 +99,8 @@ class Problem(eqx.Module):
     def of_one_kind(self) -> "Problem":
         """Itself, for what decides for one robot. Raises InputError for a team of different robots."""
         if len(self.kinds) > 1:
-            right = "expected the scenario of one robot: Scenario.of_robot(number), or --robot NUMBER"
-            raise InputError(f"scenario.team.robots: {right}")
+            how = "Scenario.of_robot(number), RobotPolicy.for_robot(number), or export --robot NUMBER"
+            raise InputError(f"scenario.team.robots: expected the scenario of one robot: {how}")
         return self
 
     def sees(

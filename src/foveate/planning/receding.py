@@ -1,7 +1,8 @@
 """Receding-horizon planning: at every step, plan on the current belief and take the first action.
 
-Each target's later inputs are predicted as the mean of its inputs so far. The robots of a team plan in turn: in each
-step one of them makes a new plan, which expects of the others the looks that they have told of theirs.
+Each target's later inputs are predicted as the mean of its inputs so far. The robots of a team plan in turn: in
+each step one of them may change its plan, and the others improve the one that they have. Each sends how often its plan
+looks at each target, and these looks are measurements in the plans of the others.
 """
 
 from dataclasses import replace
@@ -15,13 +16,13 @@ from jaxtyping import Array, Bool, Float
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness
 from foveate.planning.shooting import PlanSettings, ascend, plan
-from foveate.planning.tours import straight_ahead
+from foveate.planning.tours import best_range, straight_ahead
 from foveate.simulation.information import believed_future, looks
 from foveate.simulation.records import Episode, Instant, Observation, Policy, Protocol, State
 from foveate.simulation.rollout import decider, simulate
 from foveate.simulation.step import act
 from foveate.simulation.team.records import TeamView
-from foveate.types import Action, Count, Key
+from foveate.types import Action, Count, Information, Key
 
 MAX_WARM_START_ACTION = 0.99
 """Largest size of a policy's action that an ascent starts from: at the limits, +-1, tanh has no gradient."""
@@ -98,7 +99,9 @@ class Receding(Policy):
         team = observation.team
         problem = self.problem if team is None else self.problem.of_robot(team.number)
         future = believed_future(problem, observation, mean_input, self.window, jnp.maximum(observation.left, 1))
-        future = future if team is None else replace(future, mates=looks_of_mates(team, self.window))
+        if team is not None:
+            expected = looks_of_mates(team, self.window)
+            future = replace(future, mates=expected[:, None, None] * information_of_a_look(problem, observation))
         starts, inner = memory.raw[None], memory.policy
         if self.policy is not None:
             action, inner = self._policy_actions(self.policy, observation, inner, mean_input, policy_key)
@@ -106,8 +109,9 @@ class Receding(Policy):
             starts = jnp.concatenate([raw[None], starts])
         raw, told = plan(problem, future, self.settings, plan_key, starts).raw, memory.looks
         if team is not None:
-            kept = ascend(problem, future, memory.raw, self.settings).raw
-            raw = jnp.where(has_turn(team, memory.steps), raw, kept)
+            if self.settings.starts > 1:
+                kept = ascend(problem, future, memory.raw, self.settings).raw
+                raw = jnp.where(has_turn(team, memory.steps), raw, kept)
             keep = None if self.settings.keep is None else Softness(*self.settings.keep)
             told = looks(problem, future, jnp.tanh(raw), keep)
         shifted = jnp.concatenate([raw[1:], straight_ahead(problem, 1)])
@@ -140,7 +144,13 @@ def has_turn(team: TeamView, step: Count) -> Bool[Array, ""]:
     return (step % len(team.age) == team.number) | (step < team.number)
 
 
+def information_of_a_look(problem: Problem, observation: Observation) -> Information:
+    """Information of a measurement where this robot sees best, for the looks of others, whose places are unknown."""
+    ahead = jnp.zeros(problem.agent.space.dimension).at[0].set(best_range(problem.sensor.view))
+    return problem.sensor.gain(problem.agent.space.rotation(observation.pose), ahead)
+
+
 def looks_of_mates(team: TeamView, window: int) -> Float[Array, " n"]:
-    """Looks at each target in a step that the others have told of, less the share of their plans that is over."""
+    """Looks at each target in a step by the plans of the others, less the share of these that is over."""
     left = jnp.clip(1.0 - team.age.astype(team.claims.dtype) / window, 0.0, 1.0)
     return jnp.sum(jnp.where(jnp.arange(len(left)) == team.number, 0.0, left)[:, None] * team.claims, axis=0)

@@ -35,7 +35,7 @@ class EpisodeData:
     `visible[k]` and `log_det[k]` belong to instant k + 1. Where `present` is false, the other entries of a target mean
     nothing. There is a belief a target, b = n, unless beliefs are `tracks` of detections without ids. `outline`: the
     view's border(s) in the body frame; `walls`: distances to obstacles; `mates`: poses of further robots, with views
-    `mate_outlines` if these differ; `heard`: whom each robot (rows) has heard. A *moment* counts SUBSTEPS to a step.
+    `mate_outlines`; `heard`: whom each robot (rows) has heard. A *moment* counts SUBSTEPS to a step.
     """
 
     title: str

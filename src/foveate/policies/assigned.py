@@ -60,8 +60,8 @@ class Assigned(Policy):
         """Assign before the first decision."""
         nothing = jnp.zeros_like(observation.present)
         first = AssignedMemory((), nothing, jnp.zeros_like(observation.mean[:, 0]))
-        shown, bids = self._shown(observation, first)
-        return AssignedMemory(self.policy.start(shown), shown.present, bids)
+        shown, targets, bids = self._shown(observation, first)
+        return AssignedMemory(self.policy.start(shown), targets, bids)
 
     def claims(self, observation: Observation, memory: AssignedMemory) -> Float[Array, " n"]:
         """The bids of an auction; else 1 for the robot's targets."""
@@ -69,12 +69,14 @@ class Assigned(Policy):
 
     def __call__(self, observation: Observation, memory: AssignedMemory, key: Key) -> tuple[Action, AssignedMemory]:
         """Decide as if the robot's targets were all."""
-        shown, bids = self._shown(observation, memory)
+        shown, targets, bids = self._shown(observation, memory)
         action, own = self.policy(shown, memory.own, key)
-        return action, AssignedMemory(own, shown.present, bids)
+        return action, AssignedMemory(own, targets, bids)
 
-    def _shown(self, observation: Observation, memory: AssignedMemory) -> tuple[Observation, Float[Array, " n"]]:
-        """The observation of this robot's targets, all where it has none, and its bids."""
+    def _shown(
+        self, observation: Observation, memory: AssignedMemory
+    ) -> tuple[Observation, Bool[Array, " n"], Float[Array, " n"]]:
+        """The observation of this robot's targets, all where it has none; these targets, and its bids."""
         team = observation.team
         if team is None:
             raise InputError("method: expected no assignment (NAME+RULE) for a single robot")
@@ -91,8 +93,8 @@ class Assigned(Policy):
         targets = chosen[team.number]
         if self.rule == "auction":  # bids are prices, and say nothing to a policy that reads claims as its own kind
             team = replace(team, claims=chosen.astype(cost.dtype))
-        targets = jnp.where(targets.any(), targets, observation.present)
-        return replace(observation, present=targets, team=team), bids
+        shown = jnp.where(targets.any(), targets, observation.present)
+        return replace(observation, present=shown, team=team), targets, bids
 
     def _costs(self, observation: Observation, team: TeamView) -> Float[Array, "M n"]:
         """Distance [m], or price [nat], of every target for every robot, where it was heard last."""

@@ -3,8 +3,8 @@
 Ways lead to coarse places and to tracks. Along each the expected cost is predicted, in units of a missed target (c^2 /
 2 of GOSPA's square): undetected targets count 1 until a look finds them, with the probability of detection, and births
 count from their step. A track of existence r and error d counts r 2 E min(d^2, c^2) / c^2, and 1 - r, where it is
-reported though it may be false, or r where it is not; after a look that finds it the former alone, with the error after
-that measurement, growing from then on.
+reported though it may be false, or r where it is not. After a look that finds it it exists, with the error after that
+measurement, which grows from then on.
 """
 
 from dataclasses import replace

@@ -48,15 +48,18 @@ class RobotModel:
             raise InputError(f"{self.name}: its sensor does not measure positions, which are what a node receives")
 
 
-def load_model(source: str, number: int = 0) -> RobotModel:
+def load_model(source: str, number: int | None = None) -> RobotModel:
     """Load a policy for a node. Raises InputError for a file without its scenario, as foveate 0.1 wrote it.
 
-    `number` is that of the robot in a team of different kinds; a file is of one kind already. A policy in JAX is
-    compiled here, which takes seconds, so that no decision has to wait.
+    `number` is that of the robot in a team of different kinds, where it must be given; a file is of one kind already. A
+    policy in JAX is compiled here, which takes seconds, so that no decision has to wait.
     """
     if source.endswith(".onnx"):
         return _of_file(source)
-    return _in_jax(load(source).for_robot(number))
+    policy = load(source)
+    if number is None and len(policy.problem.kinds) > 1:
+        raise InputError("number: is missing: expected that of this robot in its team of different kinds, from 0")
+    return _in_jax(policy.for_robot(number or 0))
 
 
 def _in_jax(policy: RobotPolicy) -> RobotModel:

@@ -51,7 +51,8 @@ class Driver:
             raise InputError(f"sensor_pose = {list(mount)}: expected x, y, z, qx, qy, qz, qw")
         gate = gate if gate < 1.0 else None
         settings = CoreSettings(**values, sensor_pose=mount, gate=gate, needs_map=map_topic != "")
-        robot, model = str(self._parameter("robot", "")), load_model(policy, int(self._parameter("number", 0)))
+        number = int(self._parameter("number", -1))
+        robot, model = str(self._parameter("robot", "")), load_model(policy, None if number < 0 else number)
         self.core = TeamCore(model, settings, robot) if robot else Core(model, settings)
         obstacles = self.core.model.scenario.obstacles
         if obstacles is not None and obstacles.map_counts != (1, 0) and not map_topic:

@@ -96,8 +96,15 @@ def with_inherited(table: dict[str, Any]) -> dict[str, Any]:
     robots = team.get("robots") if isinstance(team, dict) else None
     if not isinstance(team, dict) or not isinstance(robots, list):
         return table
-    base = {name: table.get(name, to_table(cls())) for name, cls in PARTS.items()}
+    base = {name: _tagged(table.get(name, {}), to_table(cls())) for name, cls in PARTS.items()}
     return {**table, "team": {**team, "robots": [_inherited(robot, base) for robot in robots]}}
+
+
+def _tagged(own: Any, default: dict[str, Any]) -> Any:
+    """The scenario's own table, with the kind that it has where it leaves that out; the default one if it is empty."""
+    if not isinstance(own, dict):
+        return own
+    return {**{tag: default[tag] for tag in ("kind",) if tag in default}, **own} if own else default
 
 
 def _inherited(robot: Any, base: dict[str, Any]) -> Any:

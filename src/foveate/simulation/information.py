@@ -23,8 +23,8 @@ class Future(eqx.Module):
     """Known or predicted future that a plan is made for.
 
     `state` holds the targets' states after each step, `information` the P_1 predicted for the first. Only the first
-    `horizon` steps count. `map_number` is that of the map among obstacles. `mates` are the looks at each target in a
-    step that are expected of the other robots of a team.
+    `horizon` steps count. `map_number` is that of the map among obstacles. `mates` is the information about each target
+    that the other robots of a team are expected to add in a step.
     """
 
     pose: Pose
@@ -33,7 +33,7 @@ class Future(eqx.Module):
     present: Bool[Array, " n"]
     horizon: Count
     map_number: Count | None = None
-    mates: Float[Array, " n"] | None = None
+    mates: Float[Array, "n n_y n_y"] | None = None
 
 
 def believed_future(
@@ -88,8 +88,8 @@ def _added(
     """Information M_k that each step adds to each target, and the steps that count."""
     gain, weight, counts = _looks(problem, future, action, level)
     added = weight[..., None, None] * gain
-    if future.mates is not None:  # as if all measured like this robot
-        added += future.mates[:, None, None] * problem.sensor.information(problem.sensor.V)
+    if future.mates is not None:
+        added += future.mates
     return jnp.where(counts[:, None, None, None], added, 0.0), counts
 
 

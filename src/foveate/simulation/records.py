@@ -127,7 +127,7 @@ class Trace(eqx.Module):
     in [m], `information` in [1/m^2] for positions; `action` is normalised to [-1, 1] on every axis.
 
     Without ids beliefs are those of tracks, with their `existence`; the `confirmed` are reported. `visible` is of true
-    targets, `undetected` the expected number of others, `expected_gospa` in [m], and `dropped` had no room.
+    targets, `undetected` the expected number of others, `expected_gospa` in [m], `dropped` what had no room.
     Of a team, pose and action are the first robot's, the beliefs are those of one filter that hears every measurement,
     `visible` marks what any robot has measured, and `contacts` are all robots'; `team` has every robot's own.
     """

@@ -70,6 +70,8 @@ def with_robot(problem: Problem, robot: RobotFactors) -> Problem:
         raise InputError("agent.commands: expected none for random robots")
     if problem.schedule is not None:
         raise InputError("schedule: expected none for random robots")
+    if len(problem.kinds) > 1:
+        raise InputError("team.robots: expected none for random robots")
     agent, names = problem.agent, [problem.agent.space.axes[axis] for axis in problem.agent.axes]
     factor = jnp.stack([robot.speed if name[0] == "v" else robot.turn for name in names])
     upper, lower = factor * agent.upper, factor * agent.lower

@@ -50,6 +50,15 @@ def test_a_capped_square_is_that_of_gaussian_errors(std):
     assert abs(mine - drawn.mean()) < 4 * drawn.std() / np.sqrt(len(drawn)) + 1e-6
 
 
+def test_a_capped_square_keeps_its_digits_in_float32():
+    """Its limit for errors far beyond the cutoff, 1 - c^2 / (2 square), is never above 1."""
+    square = np.array([1e2, 1e5, 1e7, 1e9, 1e12], np.float32)
+    found = np.asarray(position_loss(jnp.asarray(square), jnp.asarray(1.0, jnp.float32)))
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, 1.0 - 0.5 / square.astype(float), rtol=1e-4)
+    assert (found <= 1.0).all()
+
+
 def test_nothing_expected_costs_nothing():
     empty = Tracks(jnp.zeros(1), jnp.zeros((1, 4)), jnp.eye(4)[None], jnp.full(1, -1))
     assert float(expected_gospa(PROBLEM, PROBLEM.detections, empty, jnp.zeros((8, 8)))) < 1e-5

@@ -120,7 +120,7 @@ def _judge(out: Path, experiment: Experiment) -> None:
     print("  train another policy:  with another --seed; keep the one with the best verdict")
     if "window" in verdict.unbeaten and _may_begin_at_window(experiment):
         print(f"  begin at window:       foveate train --config {out / CONFIG} --set policy.dynamic_window=true")
-    if experiment.scenario.team is not None:
+    if experiment.scenario.problem().team is not None:
         print(f"  assign targets:        foveate evaluate {out} --scenes own --protocol true --method policy+hungarian")
     elif experiment.scenario.detections is None:
         print(f"  refine each decision:  foveate plan --run {out} --scenes own --refine 15")

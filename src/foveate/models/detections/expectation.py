@@ -15,7 +15,7 @@ def position_loss(square: Float[Array, "*b"], cutoff: Scalar) -> Float[Array, "*
     Exact of Gaussian errors in the plane, alike on both axes.
     """
     square = jnp.maximum(square / cutoff**2, 1e-6)
-    return square * (1.0 - jnp.exp(-1.0 / square))
+    return -square * jnp.expm1(-1.0 / square)  # 1 - exp(-x) would be rounded to 0 for a belief as wide as float32 goes
 
 
 def confirmed(problem: Problem, model: DetectionModel, tracks: Tracks) -> Bool[Array, " n"]:
