@@ -1,7 +1,7 @@
 """Less compilation in tests that run each program once, on next to nothing."""
 
-import functools
 import gc
+import threading
 
 import pytest
 from jax._src.interpreters import mlir
@@ -21,18 +21,20 @@ def time_no_decision(patch: pytest.MonkeyPatch) -> None:
 
 
 def share_context() -> None:
-    """Lower all programs in one MLIR context: JAX makes one for each, which costs 4 ms and keeps 1.2 MB for good.
+    """Lower all programs of a thread in one MLIR context: JAX makes one for each, which costs 4 ms and keeps 1.2 MB.
 
-    But not one that is compiled while another is lowered: in the same context it would be inserted into that one.
+    But not one that is compiled while another is lowered: in the same context it would be inserted into that one. Nor
+    those of two threads, as of a training and of one that was interrupted, whose compilation goes on for a while.
     """
-    fresh = mlir.make_ir_context
-    shared = functools.cache(fresh)
+    fresh, own = mlir.make_ir_context, threading.local()
 
     def make():
         try:
             _ = ir.InsertionPoint.current
         except ValueError:
-            return shared()
+            if not hasattr(own, "context"):
+                own.context = fresh()
+            return own.context
         return fresh()
 
     mlir.make_ir_context = make
