@@ -15,6 +15,7 @@ import shutil
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -178,9 +179,10 @@ def test_another_user_is_told_what_cannot_be_written(mine, nobody, capsys):
 
 def test_a_cache_that_cannot_be_used_costs_only_time(mine, nobody, monkeypatch, caplog, request):
     """That of another user, as after sudo; also one that cannot be entered."""
-    before = jax.config.values["jax_compilation_cache_dir"]
-    jax.config.update("jax_compilation_cache_dir", None)
-    request.addfinalizer(lambda: jax.config.update("jax_compilation_cache_dir", before))
+    # A benchmark turns the cache off for the rest of its process, which is that of other tests here.
+    for name, value in (("jax_compilation_cache_dir", None), ("jax_enable_compilation_cache", True)):
+        request.addfinalizer(partial(jax.config.update, name, jax.config.values[name]))
+        jax.config.update(name, value)
     for home in (mine, mine / "closed", Path("/proc")):
         monkeypatch.setenv("XDG_CACHE_HOME", str(home))
         with caplog.at_level("INFO", "foveate"):
