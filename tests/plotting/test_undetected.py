@@ -58,7 +58,7 @@ def test_tracks_are_drawn_by_their_existence_over_the_map(episode):
     np.testing.assert_allclose(picture[..., 3], DARKEST * np.array([[0, 0.5], [0, 0], [0, 0]]))
     assert list(shown.map.image.get_extent()) == [-6.0, 6.0, -6.0, 3.0]
     labels = [entry.get_label() for entry in drawing.legend_entries([episode])]
-    assert {"track (95 %), confirmed", "tentative", "undetected"} <= set(labels)
+    assert {"track (95 %), confirmed", "not confirmed", "undetected"} <= set(labels)
     assert drawing.describe(episode) == "made up · up to 3 targets at once · GOSPA 2.35 m"
     assert episode.score is None
 

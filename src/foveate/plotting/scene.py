@@ -200,7 +200,7 @@ def legend_entries(episodes: Sequence[EpisodeData] = ()) -> list[Artist]:
     bordered = any(data.region is not None for data in episodes)
     tracks = [data.tracks for data in episodes if data.tracks is not None]
     mapped = any(each.undetected is not None for each in tracks) and episodes[0].space.dimension == 2
-    seen, unseen = ("track (95 %), confirmed", "tentative") if tracks else BELIEFS
+    seen, unseen = ("track (95 %), confirmed", "not confirmed") if tracks else BELIEFS
     return [
         Line2D([], [], color=AGENT, lw=1.5, label="agent path"),
         Patch(facecolor=SKY + "55", edgecolor=AGENT, lw=0.7, label="field of view"),
