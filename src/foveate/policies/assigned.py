@@ -91,7 +91,7 @@ class Assigned(Policy):
             cost = cost - KEEP_NATS * jnp.where(own[:, None], mine, team.claims)
         chosen = shares(cost, observation.present, self.rule == "greedy")
         targets = chosen[team.number]
-        if self.rule == "auction":  # bids are prices, and say nothing to a policy that reads claims as its own kind
+        if self.rule == "auction":  # its claims are bids; the policy expects 1 for a target that a robot goes for
             team = replace(team, claims=chosen.astype(cost.dtype))
         shown = jnp.where(targets.any(), targets, observation.present)
         return replace(observation, present=shown, team=team), targets, bids
