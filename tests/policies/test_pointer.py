@@ -11,9 +11,10 @@ from helpers.observations import SCENARIOS, moved, scene, seen
 from scipy.special import softmax
 
 from foveate.errors import InputError
-from foveate.planning.named import heuristic_policy
+from foveate.models.robot import Robot
 from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
 from foveate.policies.steering import steer
+from foveate.policies.window import NETWORK_VALUES, DynamicWindow
 from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.random_obstacles import CircleObstacles
 from foveate.scenario.region import RegionSettings
@@ -241,7 +242,7 @@ def test_with_the_window_it_can_be_that_heuristic(name):
     """Which has tests of its own, and stands still without a target; the network's corrections are 0 here."""
     problem = SCENARIOS[name].problem()
     policy = at_the_window(problem)
-    window = heuristic_policy("window", problem, float(problem.sensor.view.extent.ahead_m))
+    window = DynamicWindow(problem, 0.5 * float(problem.sensor.view.extent.ahead_m), NETWORK_VALUES)
     decides = eqx.filter_jit(lambda observation: window(observation, (), KEY)[0])
     for seed in range(3):
         observation = seen(SCENARIOS[name], *scene(SCENARIOS[name].dimension, TARGETS, seed))
@@ -251,14 +252,26 @@ def test_with_the_window_it_can_be_that_heuristic(name):
     np.testing.assert_allclose(still, 0.0, atol=1e-9)
 
 
-def test_the_window_is_for_the_open_and_targets_with_ids():
-    with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with obstacles or rays"):
+def test_the_window_is_for_networks_without_rays_and_targets_with_ids():
+    with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with rays"):
         PointerSettings(kind="pointer", dynamic_window=True, rays=8).policy(Scenario().problem(), KEY)
     detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
     searched = Scenario(detections=detections, scenes=SceneSettings(known_drift=False))
-    for scenario in (searched, Scenario(obstacles=CircleObstacles(maps=1, test_maps=0))):
-        with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with obstacles"):
-            replace(SMALL, dynamic_window=True).policy(scenario.problem(), KEY)
+    with pytest.raises(
+        InputError, match=r"policy.dynamic_window = True: expected false with rays, and with"
+    ):
+        replace(SMALL, dynamic_window=True).policy(searched.problem(), KEY)
+
+
+def test_the_window_of_a_network_knows_of_no_obstacles():
+    """As the rest of a network without rays: among circles it decides as in the open."""
+    circles = CircleObstacles(maps=1, test_maps=0, density_per_m2=0.05)
+    problems = [Scenario(obstacles=obstacles).problem() for obstacles in (None, circles)]
+    policy = replace(SMALL, dynamic_window=True).policy(problems[1], KEY)
+    for seed in range(3):
+        observation = seen(SCENARIOS["plane"], *scene(2, TARGETS, seed))
+        actions = [decide(policy, replace(observation, robot=Robot.of(each))) for each in problems]
+        np.testing.assert_array_equal(*actions)
 
 
 def test_the_window_in_an_episode_with_a_schedule():
@@ -266,7 +279,7 @@ def test_the_window_in_an_episode_with_a_schedule():
     scenario = Scenario(schedule=ScheduleSettings(tau_s=(1.0, 0.5)), scenes=SceneSettings(steps=4))
     problem, key = scenario.problem(), jax.random.key(2)
     policy = at_the_window(problem)
-    heuristic = heuristic_policy("window", problem, float(scenario.view.depth_m))
+    heuristic = DynamicWindow(problem, 0.5 * float(scenario.view.depth_m), NETWORK_VALUES)
 
     @jax.jit
     def actions(key):

@@ -12,7 +12,7 @@ from helpers.decisions import bearing_to, decide, seen
 from foveate.models.robot import Robot
 from foveate.planning.named import heuristic_policy
 from foveate.policies.tokens import tokens_of
-from foveate.policies.window import PERIODS, commands, told_window
+from foveate.policies.window import NETWORK_VALUES, PERIODS, VALUES, DynamicWindow, commands, told_window
 from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
@@ -21,7 +21,7 @@ from foveate.scenario.sensor import ScheduleSettings
 PROBLEM = Scenario().problem()
 KEY = jax.random.key(0)
 V, W = 4.0, np.pi / 3
-GRID = [(v, w) for v in np.linspace(0, V, 7) for w in np.linspace(-W, W, 7)]
+GRID, COARSE = ([(v, w) for v in np.linspace(0, V, k) for w in np.linspace(-W, W, k)] for k in (7, NETWORK_VALUES))
 
 
 def moved(pose, v, w):
@@ -94,7 +94,8 @@ def test_takes_the_best_of_all_commands():
 
 def test_what_a_network_is_told():
     """Losses of steering to each target against the same simulation, and the window's own action."""
-    rng, window, told = np.random.default_rng(3), heuristic_policy("window", PROBLEM, 2.0), eqx.filter_jit(told_window)
+    rng, told = np.random.default_rng(3), eqx.filter_jit(told_window)
+    window = DynamicWindow(PROBLEM, 1.0, NETWORK_VALUES)
     for case in range(12):
         pose = np.array([*rng.uniform(-2, 2, 2), rng.uniform(-9, 9)])
         mean, log_dets = rng.uniform(-5, 5, (4, 2)), rng.uniform(-2, 9, 4)
@@ -104,7 +105,7 @@ def test_what_a_network_is_told():
         tracks, information = np.repeat(mean[:, None], steps, axis=1), np.asarray(observation.information)
         ways = [*(steering(pose, track)[1] for track in tracks)]
         values = [value(way, tracks, information) for way in ways]
-        others = [value(constant(pose, each, steps)[1], tracks, information) for each in [*GRID, (0.0, 0.0)]]
+        others = [value(constant(pose, each, steps)[1], tracks, information) for each in [*COARSE, (0.0, 0.0)]]
         loss = 4 * (max(values + others) - np.array(values))
         tokens = told(tokens_of(observation, "mean", tells_time), observation, tells_time)
         np.testing.assert_allclose(tokens.features[:, 0], np.log1p(loss), atol=1e-6)
@@ -134,7 +135,7 @@ def test_steers_as_price_where_nobody_can_be_reached():
 )
 def test_commands_reach_all_limits_and_stand_still(agent, count):
     body = agent.agent()
-    found = np.asarray(jax.vmap(body.control)(commands(body)))
+    found = np.asarray(jax.vmap(body.control)(commands(body, max(VALUES.values()))))
     assert len(found) == count
     np.testing.assert_allclose(found.min(axis=0), body.lower)
     np.testing.assert_allclose(found.max(axis=0), body.upper)

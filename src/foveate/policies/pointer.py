@@ -79,8 +79,8 @@ class PointerSettings(Settings):
     along them; 0: it knows of no obstacles."""
     dynamic_window: bool = False
     """Proposes the command of the heuristic `window`, too, and is told what that expects of steering to each target: a
-    training then begins no lower than `window`, and takes about twice as long. Not among obstacles, nor with rays or
-    detections without ids."""
+    training then begins about as good as `window`. It knows of no obstacles; not with rays, nor trained for detections
+    without ids."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,7 +93,7 @@ class PointerSettings(Settings):
 
     def fits_window(self, problem: Problem) -> bool:
         """True if the network may propose the dynamic window's command."""
-        return self.rays == 0 and problem.obstacles is None and problem.detections is None
+        return self.rays == 0 and problem.detections is None
 
     def policy(
         self,
@@ -107,7 +107,7 @@ class PointerSettings(Settings):
         `others` are further objectives of its training, as in worlds of random robots.
         """
         may_propose = self.fits_window(problem) or not self.dynamic_window
-        right = "expected false with obstacles or rays, and with detections without ids"
+        right = "expected false with rays, and with detections without ids"
         require(may_propose, "policy.dynamic_window", self.dynamic_window, right)
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (

@@ -4,8 +4,10 @@ The original rates commands of a vehicle among obstacles by heading, clearance a
 agent will know about its targets.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +27,9 @@ PERIODS = 5
 
 VALUES = {1: 7, 2: 7, 3: 3}
 """Values tried on every axis by the number of axes; 2, the limits, for more: at most 49 commands, 64 for six axes."""
+
+NETWORK_VALUES = 3
+"""Most values tried for a network, which corrects them: a third of the time, and commands that steer count most."""
 
 AFTER_PRICES = 1e6
 """More than any price [nat]."""
@@ -50,26 +55,34 @@ class DynamicWindow(Policy):
 
     Tried are a grid of constant commands within the limits, standing still, and steering to each target up to
     `standoff_m` [m] before it. Where several see the same, as when no target can be reached, it steers as `price` does.
+    The grid has at most `values` on each axis.
     """
 
     problem: Problem
     standoff_m: float
+    values: int = eqx.field(static=True, default=max(VALUES.values()))
 
     def __call__(self, observation: Observation, memory: Any, key: Key) -> tuple[Action, Any]:
         """The first action of the first of the best; stand still without a target."""
         problem = self.problem.at(observation.step).of_map(observation.map_number)
-        return tried(problem, observation, self.standoff_m, observation.left).best, memory
+        grid = commands(problem.agent, self.values)
+        return tried(problem, observation, grid, self.standoff_m, observation.left).best, memory
 
 
-def tried(problem: Problem, observation: Observation, standoff_m: Scalar | float, left: Count) -> Tried:
+def tried(
+    problem: Problem,
+    observation: Observation,
+    constant: Float[Array, "commands m"],
+    standoff_m: Scalar | float,
+    left: Count,
+) -> Tried:
     """Simulate all commands for PERIODS, or for the steps that are `left`; `problem` is that of this step and map.
 
-    Without a target the best is to stand still.
+    Without a target the best is the last of the `constant` commands.
     """
     future = believed_future(problem, observation, observation.known_input, PERIODS, jnp.maximum(left, 1))
     positions_world = problem.motion.position(future.state)
     steering = jax.vmap(lambda path: _steering(problem, future, path, standoff_m), in_axes=1)(positions_world)
-    constant = commands(problem.agent)
 
     def found(actions: Float[Array, "K m"]) -> Scalar:
         return mean_score(problem, future, actions, None)
@@ -86,10 +99,10 @@ def tried(problem: Problem, observation: Observation, standoff_m: Scalar | float
     return Tried(by_steering, by_constant, jnp.where(observation.present.any(), action, constant[-1]))
 
 
-def commands(agent: Agent) -> Float[Array, "commands m"]:
-    """The actions of the grid, and that of zero velocity."""
+def commands(agent: Agent, most: int) -> Float[Array, "commands m"]:
+    """The actions of the grid, with at most so many values on each axis, and that of zero velocity."""
     count = len(agent.axes)
-    values = np.linspace(-1.0, 1.0, VALUES.get(count, 2))
+    values = np.linspace(-1.0, 1.0, min(VALUES.get(count, 2), most))
     grid = np.stack(np.meshgrid(*[values] * count, indexing="ij"), axis=-1).reshape(-1, count)
     still = agent.action(jnp.zeros_like(agent.lower))
     return jnp.concatenate([jnp.asarray(grid, still.dtype), still[None]])
@@ -113,13 +126,15 @@ def told_window(tokens: Tokens, observation: Observation, tells_time: bool) -> T
     """The tokens with the window's action, and in front, on every token, what the window expects.
 
     That is how much information of all targets steering to this one loses against the best command, and how much
-    steering to the best target loses [nat], on the scale of log(1 + x).
+    steering to the best target loses [nat], on the scale of log(1 + x). As the rest of such a network, it knows of no
+    obstacles.
     """
     robot = observation.robot
     assert robot is not None, "tokens_of rejects others"
-    problem, present = robot.problem, observation.present
+    problem, present = replace(robot.problem, obstacles=None), observation.present
     left = observation.left if tells_time else jnp.asarray(PERIODS)
-    found = tried(problem, observation, STANDOFF * robot.extent.ahead_m, left)
+    grid = commands(problem.agent, NETWORK_VALUES)
+    found = tried(problem, observation, grid, STANDOFF * robot.extent.ahead_m, left)
     best = jnp.maximum(jnp.max(found.steering, initial=-jnp.inf), jnp.max(found.constant))
     loss = jnp.where(present, best - found.steering, 0.0) * jnp.sum(present).astype(best.dtype)
     least = jnp.min(loss, initial=jnp.inf, where=present)
