@@ -257,9 +257,7 @@ def test_the_window_is_for_networks_without_rays_and_targets_with_ids():
         PointerSettings(kind="pointer", dynamic_window=True, rays=8).policy(Scenario().problem(), KEY)
     detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
     searched = Scenario(detections=detections, scenes=SceneSettings(known_drift=False))
-    with pytest.raises(
-        InputError, match=r"policy.dynamic_window = True: expected false with rays, and with"
-    ):
+    with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with rays, and with"):
         replace(SMALL, dynamic_window=True).policy(searched.problem(), KEY)
 
 
