@@ -138,7 +138,7 @@ def require_free(obstacles: Obstacles | None, place: Float[np.ndarray, " d"], na
 
 
 def _needed(obstacles: Obstacles) -> float:
-    return float(sight.margin(obstacles.grid, obstacles.radius))
+    return float(sight.margin(obstacles.grid, obstacles.reach))
 
 
 def _text(corner: Float[np.ndarray, "2"]) -> str:
