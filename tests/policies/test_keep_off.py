@@ -207,6 +207,29 @@ def test_what_cannot_be_kept_is_one_line(name):
     assert "\n" not in str(caught.value)
 
 
+def test_a_loaded_policy_is_wrapped_as_its_network():
+    policy = foveate.load("any").for_scenario(SCENARIO)
+    safe = KeepOff(policy, SCENARIO.problem(), KEEP_M)
+    assert safe.policy is policy.network
+    with pytest.raises(InputError, match="policy = 'nearest': expected one of foveate"):
+        KeepOff("nearest", SCENARIO.problem(), KEEP_M)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"pose": [0.0, 0.0], "action": [1.0, 0.0]}, "pose = "),
+        ({"pose": [0.0, 0.0, 0.0], "action": [1.0]}, "action = "),
+        ({"pose": [0.0, 0.0, 0.0], "action": [1.0, 0.0], "map_number": 1}, "map_number = 1: expected 0 to 0"),
+    ],
+)
+def test_a_pose_that_does_not_fit_is_one_line(given, words):
+    problem = SCENARIO.problem()
+    with pytest.raises(InputError, match=words) as caught:
+        KeepOff(Random(problem), problem, KEEP_M).shortened(**given)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("name", ["always ahead", "commands", "borders"])
 def test_a_scenario_that_cannot_keep_off_is_one_line(name):
     scenario, _, words = BAD[name]
