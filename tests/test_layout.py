@@ -73,7 +73,11 @@ TESTED_ELSEWHERE = {
     "models.team": "scenario/test_team.py",
     "learning.windows": "learning/test_trajectories.py",
     "policies.team_tokens": "learning/test_team_play.py",
-    **{f"simulation.team.{name}": "simulation/team/test_rollout.py" for name in ("radio", "records", "step", "window")},
+    **{
+        f"simulation.team.{name}": "simulation/team/test_rollout.py"
+        for name in ("evidence", "radio", "records", "step", "window")
+    },
+    "simulation.team.mate_scans": "simulation/team/test_tracks.py",
     **dict.fromkeys(("scenario.rows", "simulation.team.starts"), "scenario/test_team.py"),
     **dict.fromkeys(("experiment.experiment", "experiment.learners"), "experiment/test_presets.py"),
     "experiment.run_folder": "experiment/test_checkpoint.py",

@@ -2,17 +2,19 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.worlds_of_detections import HALL
 
 from foveate.errors import InputError
-from foveate.evaluation.detections import detection_measures, lives, protocols_in, require_ids
+from foveate.evaluation.detections import detection_measures, lives, member_measures, protocols_in, require_ids
 from foveate.evaluation.rows import Row
 from foveate.evaluation.summary import summarise
 from foveate.scenario.scenes import Scene
 from foveate.simulation.records import Trace
+from foveate.simulation.team.records import TeamTrace
 
 PROBLEM = HALL.problem()
 SCENE = Scene(id="a", agent=(0.0, 0.0, 0.0), targets=((0.0, 0.0),), horizon=2)
@@ -73,6 +75,22 @@ def test_what_was_seen_is_of_lives_up_to_the_horizon(episode):
 def test_errors_are_of_confirmed_tracks_and_their_targets(episode):
     row = detection_measures(PROBLEM, *episode, [SCENE])[0]
     np.testing.assert_allclose([row["rmse_m"], row["nees"]], [2.0, 16.0])
+
+
+def test_the_worst_robot_of_a_team_is_by_its_own_tracks(episode):
+    """The first robot reports what the episode's filter does, the second nothing: it misses one target, then two."""
+    trace, truth, alive = episode
+    parts = (np.asarray(part)[0, 1:] for part in (trace.mean, trace.information, trace.confirmed))
+    mean, information, confirmed = (jnp.asarray(np.stack([part, part], axis=1)) for part in parts)
+    steps, robots = confirmed.shape[:2]
+    shapes = jnp.zeros((steps + 1, robots, 3)), jnp.zeros((steps, robots, 2)), jnp.zeros((steps, robots, 3))
+    visible, heard = jnp.zeros((steps, robots, 2), bool), jnp.zeros((steps, robots, robots), bool)
+    own = {"mean": mean, "information": information, "confirmed": confirmed.at[:, 1].set(False)}
+    team = jax.tree.map(lambda x: np.asarray(x)[None], TeamTrace(*shapes, None, visible, heard, **own))
+    (row,) = member_measures(PROBLEM, team, truth, alive, [SCENE], "gospa")
+    worst = -(np.sqrt(8.0) + 4.0) / 2
+    assert row == {"agents": 2, "worst_score": worst, "worst_objective": worst, "members_nees": 16.0}
+    assert member_measures(PROBLEM, None, truth, alive, [SCENE]) == [{}]
 
 
 def test_without_a_confirmed_track_there_is_no_error_but_in_a_file_whose_format_has_numbers(episode):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.rejections import assert_rejected
+from helpers.worlds_of_detections import HALL
 
 pettingzoo = pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test, parallel_seed_test  # noqa: E402
@@ -74,3 +75,4 @@ def test_what_is_missing_is_said(env):
     env.reset(seed=0)
     assert_rejected(lambda: env.step({"robot_0": np.zeros(2)}), "actions: none for robot_1")
     assert_rejected(lambda: TeamEnv(replace(SCENARIO, team=None)), "scenario.team: expected a team")
+    assert_rejected(lambda: TeamEnv(replace(HALL, team=TeamSettings(agents=2))), "scenario.detections: expected none")

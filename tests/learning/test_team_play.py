@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.rejections import assert_rejected
+from helpers.worlds_of_detections import HALL
 
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
@@ -98,6 +99,24 @@ def test_the_critic_sees_the_tokens_of_all_robots(played):
         std = 1e-9 * jnp.asarray(whole.tokens.unit[m, 2])
         found = log_density(modes, jnp.asarray(whole.action[m, 2]), std)
         np.testing.assert_allclose(found, whole.log_density[m, 2], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_reward_of_a_team_without_ids_is_the_gospa_that_its_filter_expects():
+    scenario = replace(HALL, scenes=replace(HALL.scenes, steps=3), team=TeamSettings(agents=M))
+    experiment = replace(EXPERIMENT, scenario=scenario, training=replace(EXPERIMENT.training, objective="gospa"))
+    policy = experiment.new_policy(jax.random.key(4))
+    policy = replace(policy, preference=100.0 * policy.preference)
+    policy = eqx.tree_at(lambda p: p.idle_layer.bias, policy, policy.idle_layer.bias.at[0].set(-1e3))
+
+    @jax.jit
+    def run(key):
+        problem, episode = worlds_of(experiment)[0].drawn(key)
+        how = (TRUE, "gospa", jnp.asarray(1e-9), key, start(problem, episode, TRUE), episode.horizon, False, True)
+        return play_team(problem, policy, episode, *how)[0], rollout(problem, policy, episode, TRUE, key)
+
+    played, trace = run(jax.random.key(2))
+    np.testing.assert_allclose(played.reward, np.repeat(-trace.expected_gospa[None, 1:] / 3, M, axis=0), atol=1e-6)
 
 
 @pytest.mark.exhaustive

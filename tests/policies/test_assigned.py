@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers.episodes import training_episode
 from helpers.rejections import assert_rejected
+from helpers.worlds_of_detections import HALL
 from scipy.optimize import linear_sum_assignment
 
 from foveate.experiment.resolve import methods_of
@@ -21,7 +22,7 @@ from foveate.scenario.field_of_view import TriangleView
 from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings
-from foveate.scenario.team import TeamSettings
+from foveate.scenario.team import RadioSettings, TeamSettings
 from foveate.simulation.records import TRUE, Policy
 from foveate.simulation.rollout import rollout
 from foveate.simulation.suites import scene_episodes
@@ -164,6 +165,18 @@ def test_names_of_methods():
 
 
 @pytest.mark.slow
+def test_tracks_are_assigned_only_where_all_robots_have_the_same():
+    team = TeamSettings(agents=2)
+    for radio, name, right in (
+        (RadioSettings(), "explore", "'explore+greedy': expected none: explore goes to places"),
+        (RadioSettings(loss=1.0), "lookahead", "expected none: without ids robots have the same tracks only where"),
+    ):
+        scenario = replace(HALL, team=replace(team, radio=radio))
+        assert_rejected(lambda own=scenario, name=name: assigned_in(own, heuristic_in(own, name), "greedy"), right)
+    shared = replace(HALL, team=team)
+    assert assigned_in(shared, heuristic_in(shared, "alternate"), "greedy").rule == "greedy"
+
+
 def test_two_robots_beside_each_other_part_and_detect_all_targets():
     """Two targets to either side: assigned, all are detected within 20 steps; copies both go to one side."""
     team = TeamSettings(agents=2)

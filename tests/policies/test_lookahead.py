@@ -1,5 +1,7 @@
 """Look-ahead in worlds without ids: costs by hand, and a way that finds what is expected."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,8 @@ from helpers.worlds_of_detections import HALL
 from policies.test_search import PROBLEM, expecting, seen, tracking  # noqa: F401
 
 from foveate.policies.lookahead import LookAhead, _of_undetected, errors_ahead
+from foveate.scenario.team import RadioSettings, TeamSettings
+from foveate.simulation.team.records import TeamView
 
 
 @pytest.fixture
@@ -41,6 +45,19 @@ def test_it_turns_to_where_targets_are_expected(seen):  # noqa: F811
     for cell, sign in (((4, 7), 1.0), ((4, 0), -1.0)):
         action, _ = eqx.filter_jit(LookAhead(PROBLEM))(expecting(seen, {cell: 3.0}), (), jax.random.key(0))
         assert np.sign(action[1]) == sign
+
+
+def test_the_robots_of_a_team_look_in_turn_at_what_others_leave(seen):  # noqa: F811
+    """In one place, with more targets to the left: the first turns left, as if alone, and the second right."""
+    expected, poses = expecting(seen, {(4, 7): 3.0, (4, 0): 2.0}), jnp.zeros((2, 3))
+    for radio, signs in ((RadioSettings(), [1.0, -1.0]), (RadioSettings(loss=1.0), [1.0, 1.0])):
+        problem = replace(HALL, team=TeamSettings(agents=2, radio=radio)).problem()
+        policy = eqx.filter_jit(LookAhead(problem))
+        told = [TeamView(jnp.asarray(i), poses, jnp.zeros(2, int), jnp.zeros((2, 10))) for i in range(2)]
+        actions = [policy(replace(expected, team=team), (), jax.random.key(0))[0] for team in told]
+        assert [np.sign(action[1]) for action in actions] == signs
+    alone, _ = eqx.filter_jit(LookAhead(PROBLEM))(expected, (), jax.random.key(0))
+    np.testing.assert_array_equal(actions[0], alone)
 
 
 def test_a_track_in_view_costs_less_than_one_that_is_not(seen, still):  # noqa: F811

@@ -10,10 +10,13 @@ from helpers.worlds_of_detections import HALL
 from policies.test_search import PROBLEM, expecting, seen, tracking  # noqa: F401
 
 from foveate.errors import InputError
+from foveate.models.robot import Robot
 from foveate.policies.lookahead import LookAhead
 from foveate.policies.places import PLACES, token_count, with_places
 from foveate.policies.pointer import PointerSettings
 from foveate.policies.tokens import SEARCH_FEATURES, token_size, tokens_of
+from foveate.scenario.team import TeamSettings
+from foveate.simulation.team.records import TeamView
 
 TRACKS = PROBLEM.detections.tracks
 
@@ -60,6 +63,23 @@ def test_an_untrained_policy_decides_as_the_look_ahead(seen, decisions):  # noqa
         _, _, goals, action = decisions(expecting(seen, {cell: 3.0}))
         np.testing.assert_allclose(action, np.clip(goals.action[np.argmin(goals.cost)], -1, 1), atol=0.05)
         assert np.sign(action[1]) == sign
+
+
+def test_an_untrained_policy_of_a_team_decides_in_turn(seen):  # noqa: F811
+    """More targets to the left than to the right: the first robot of two turns left, the second right."""
+    problem = replace(HALL, team=TeamSettings(agents=2)).problem()
+    policy = PointerSettings().policy(problem, jax.random.key(0), "gospa")
+    expected = replace(expecting(seen, {(4, 7): 3.0, (4, 0): 2.0}), robot=Robot.of(problem))
+
+    @jax.jit
+    def decide(number):
+        team = TeamView(number, jnp.zeros((2, 3)), jnp.zeros(2, int), jnp.zeros((2, TRACKS)))
+        return policy(replace(expected, team=team), jnp.zeros(TRACKS), jax.random.key(1))
+
+    for number, sign in enumerate((1.0, -1.0)):
+        action, claims = decide(jnp.asarray(number))
+        assert np.sign(action[1]) == sign
+        np.testing.assert_array_equal(claims, np.zeros(TRACKS), "it goes for a place, not for a track")
 
 
 def test_without_the_intensity_it_cannot_decide(seen):  # noqa: F811

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.recordings import ANGLE, DEPTH, TAU
+from helpers.rejections import assert_rejected
 
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
@@ -15,6 +16,7 @@ from foveate.recordings.compare import replay
 from foveate.recordings.replay import drive, prepare_replay
 from foveate.recordings.starts import agent_starts, default_agent_start, random_agent_starts
 from foveate.ros.bag import write_bag
+from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.team import RadioSettings, TeamSettings
 
@@ -74,6 +76,12 @@ def test_robots_with_a_radio_know_what_all_have_seen(scenario, recording):
     begins = slots.present[1:] & ~slots.present[:-1]
     np.testing.assert_allclose(trace.information[1:][begins], np.eye(2) / 2.0 * np.ones((begins.sum(), 1, 1)))
     np.testing.assert_allclose(trace.team.log_det[begins.any(axis=1)][:, 0][begins[begins.any(axis=1)]], -2 * np.log(2))
+
+
+def test_robots_without_ids_are_no_team_on_a_recording(scenario, recording):
+    box = DetectionSettings(low_m=(-50.0, -50.0), high_m=(50.0, 50.0), cells=(4, 4))
+    without = replace(team_of(scenario, PERFECT), detections=box)
+    assert_rejected(lambda: prepare_replay(without, recording, ALL), "scenario.team.agents = 3: expected 1 with")
 
 
 def test_robots_of_different_kinds_see_by_their_own_views(scenario, recording):

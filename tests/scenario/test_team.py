@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import pytest
 from helpers.rejections import assert_rejected
+from helpers.worlds_of_detections import HALL
 
 from foveate.experiment.experiment import Experiment
 from foveate.io.toml import dumps_toml, load_toml
+from foveate.scenario.field_of_view import SectorView
+from foveate.scenario.kinds import RobotSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, SceneSettings, checked, read_scenes, write_scenes
 from foveate.scenario.sensor import SensorSettings
@@ -32,6 +35,14 @@ BAD = {
     "missed detections": (
         lambda: Scenario(team=PAIR, sensor=SensorSettings(missed_detections="used")),
         "sensor.missed_detections = 'used': expected none for a team",
+    ),
+    "tracks over a lossy radio": (
+        lambda: replace(HALL, team=TeamSettings(agents=2, radio=RadioSettings(range_m=9.0))),
+        "team.radio = '[..]': expected a radio that always works or never",
+    ),
+    "tracks of robots with different views": (
+        lambda: replace(HALL, team=TeamSettings(agents=2, robots=(RobotSettings(view=SectorView(depth_m=1.0)),))),
+        "team.robots[0].view = '[..]': expected the scenario's",
     ),
 }
 

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from foveate.evaluation.detections import detection_measures
+from foveate.evaluation.detections import detection_measures, member_measures
 from foveate.evaluation.metrics import measures
 from foveate.evaluation.rows import Row
 from foveate.evaluation.team import team_measures
@@ -196,10 +196,11 @@ def episode_rows(suite: Suite, method: str, protocol: str, trace: Trace, step_ti
     truth, scans = np.asarray(suite.truth.state), suite.episodes.scans
     if scans is None:
         measured = measures(suite.problem, trace, truth, scenes, suite.objective)
+        teams = team_measures(trace.team, scenes, suite.objective)
     else:
         alive = np.asarray(scans.alive)
         measured = detection_measures(suite.problem, trace, truth, alive, scenes, suite.objective)
-    teams = team_measures(trace.team, scenes, suite.objective)
+        teams = member_measures(suite.problem, trace.team, truth, alive, scenes, suite.objective)
     return [
         Row(
             scene=scene.id,

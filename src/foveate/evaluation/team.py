@@ -22,6 +22,7 @@ def team_measures(
 
 
 def _measures(trace: TeamTrace, i: int, scene: Scene, objective: Objective | None) -> dict[str, Any]:
+    assert trace.nees is not None, "of targets with ids"
     n, last, agents = len(scene.targets), scene.horizon, trace.log_det.shape[2]
     if n == 0:
         return {"agents": agents}

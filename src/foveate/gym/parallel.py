@@ -4,7 +4,6 @@ import functools
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +47,8 @@ class TeamEnv(ParallelEnv):
     An observation has the features of `foveate.gym.TrackingEnv` in the robot's own frame, from its own beliefs, and
     `mates`: of every other robot its position and how fresh that news is. An action has one number in [-1, 1] for each
     actuated axis. Episodes are those of training, with noise, and end as truncated. Infos have the `score` of the
-    robot's own beliefs [nat per target]. Raises InputError for a scenario without a team.
+    robot's own beliefs [nat per target]. Raises InputError for a scenario without a team, and for
+    detections without ids.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "name": "foveate_team_v0", "is_parallelizable": True}  # noqa: RUF012
@@ -58,6 +58,8 @@ class TeamEnv(ParallelEnv):
         problem = chosen.problem()
         if problem.team is None:
             raise InputError("scenario.team: expected a team of at least 2 robots")
+        if problem.detections is not None:
+            raise InputError("scenario.detections: expected none: the robots of this environment know targets by ids")
         self.possible_agents = [f"robot_{i}" for i in range(problem.team.agents)]
         self.agents: list[str] = []
         self.render_mode = None
@@ -145,9 +147,7 @@ def _compiled(scenario: Scenario) -> _Programs:
         number, team = state.robots.step[0], episode.team
         assert team is not None, "of a team's episodes"
         instant = jax.tree.map(lambda x: x[number], instants(episode))
-        draws = eqx.tree_at(
-            lambda t: (t.measurement_noise, t.radio), team, (team.measurement_noise[number], team.radio[number])
-        )
+        draws = team.of_steps(lambda x: x[number])
         here = problem.of_map(episode.map_number)
         predicted = step.predict(here, state, instant.known_input)
         claims = jnp.zeros((len(actions), episode.mean.shape[0]), episode.mean.dtype)

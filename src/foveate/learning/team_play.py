@@ -15,7 +15,8 @@ from foveate.learning.trajectories import Trajectory, rewards, sampled
 from foveate.models.problem import Problem
 from foveate.policies.pointer import PointerPolicy, command
 from foveate.policies.tokens import Tokens
-from foveate.simulation.records import Episode, Protocol, per_target
+from foveate.simulation.records import Episode, Protocol, State, per_target
+from foveate.simulation.scans import expected
 from foveate.simulation.team import step
 from foveate.simulation.team.rollout import TeamOutcome, simulate
 from foveate.simulation.team.step import TeamState
@@ -45,16 +46,21 @@ def play_team(
         return command(observation, sample.action), policy.claimed(observation, mode), memory, sample
 
     def record(done: TeamOutcome):
-        log_det = jnp.mean(log_det_spd(done.state.central.information), axis=0)
-        return done.notes, log_det, jnp.any(done.drafts.measured, axis=0)
+        central = done.state.central
+        gospa = expected(problem, central).get("expected_gospa") if isinstance(central, State) else None
+        log_det = jnp.mean(log_det_spd(central.information), axis=0)
+        return done.notes, log_det, jnp.any(done.drafts.measured, axis=0), gospa
 
-    last, (sample, log_det, visible) = simulate(problem, decide, episode, protocol, key, record, state=state)
+    last, (sample, log_det, visible, gospa) = simulate(problem, decide, episode, protocol, key, record, state=state)
     problem = problem.of_map(episode.map_number)
     predicted = step.predict(problem, last, following)
     after = jax.vmap(policy.tokens)(step.observations(problem, last, predicted, following, episode.horizon))
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
     first = per_target(jnp.mean(log_det_spd(state.central.information), axis=0), episode.present)
-    reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    if gospa is None:
+        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    else:
+        reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
     number = first_step + jnp.arange(len(reward))
     counts = number < ends
     reward = jnp.where(counts, reward, 0.0)

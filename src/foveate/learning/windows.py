@@ -5,7 +5,6 @@ the policy has reached in the window before.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import equinox as eqx
@@ -20,7 +19,6 @@ from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.records import Episode, Protocol, State
 from foveate.simulation.step import start
 from foveate.simulation.team import step as team_step
-from foveate.simulation.team.records import TeamDraws
 from foveate.simulation.team.step import TeamState
 from foveate.types import Count, Key
 
@@ -94,7 +92,7 @@ def cut(episode: Episode, first: Count, steps: int) -> Episode:
         inputs=whole(episode.inputs),
         truth=jax.tree.map(whole, episode.truth),
         arrivals=jax.tree.map(whole, episode.arrivals),
-        team=of_steps(episode.team, whole),
+        team=episode.team and episode.team.of_steps(whole),
         scans=jax.tree.map(whole, episode.scans),
     )
     assert episode.truth is not None, "training episodes are noisy"
@@ -106,15 +104,8 @@ def cut(episode: Episode, first: Count, steps: int) -> Episode:
     arrivals, scans = jax.tree.map(lambda x: part(x, 1), episode.arrivals), episode.scans
     if scans is not None:
         scans = replace(jax.tree.map(part, scans), alive=part(scans.alive, 1))
-    rest = {"arrivals": arrivals, "scans": scans, "team": of_steps(episode.team, part)}
+    rest = {"arrivals": arrivals, "scans": scans, "team": episode.team and episode.team.of_steps(part)}
     return replace(episode, inputs=part(episode.inputs, 1), truth=truth, **rest)
-
-
-def of_steps(team: TeamDraws | None, change: Callable[[Array], Array]) -> TeamDraws | None:
-    """A team's draws, with the arrays that have an axis of steps changed."""
-    if team is None:
-        return None
-    return replace(team, measurement_noise=change(team.measurement_noise), radio=change(team.radio))
 
 
 def continued(world: World, protocol: Protocol, one: Ongoing, last: State | TeamState, new_key: Key) -> Ongoing:

@@ -8,7 +8,7 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import HEURISTICS, SEARCHERS, Assignment
 from foveate.policies.assigned import Assigned
-from foveate.policies.by_kind import by_kind
+from foveate.policies.by_kind import ByKind, by_kind
 from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
 from foveate.policies.lookahead import LookAhead
 from foveate.policies.rules import Post, Price
@@ -61,7 +61,17 @@ def heuristic_in(scenario: Scenario, name: str, box_world: Float[Array, "2 d"] |
 
 
 def assigned_in(scenario: Scenario, policy: Policy, rule: Assignment) -> Policy:
-    """The policy, shown the targets of its robot only, by a rule. Raises InputError for a single robot."""
+    """The policy, shown the targets of its robot only, by a rule.
+
+    Raises InputError for a single robot, and where detections have no ids for a radio by which not all have the same
+    tracks, and for `explore`, which follows none.
+    """
     problem = scenario.problem()
     require(problem.team is not None, "method", f"+{rule}", "expected none: the scenario has no team")
+    if problem.detections is not None and problem.team is not None:
+        right = "expected none: without ids robots have the same tracks only where every message arrives at once"
+        require(problem.team.radio.kind == "perfect", "method", f"+{rule}", right)
+        own = policy.rest if isinstance(policy, ByKind) else policy
+        follows = isinstance(own, Alternate) or not isinstance(own, Explore)
+        require(follows, "method", f"explore+{rule}", "expected none: explore goes to places, not to targets")
     return Assigned(policy=policy, problem=problem, rule=rule)

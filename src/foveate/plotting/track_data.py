@@ -13,6 +13,7 @@ from foveate.models.problem import Problem
 from foveate.simulation.records import TRUE, Episode, Trace
 from foveate.simulation.rollout import simulate
 from foveate.simulation.scans import begin
+from foveate.simulation.team.rollout import simulate as team_simulate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +65,24 @@ def track_data(
 
 def intensities(problem: Problem, episode: Episode, trace: Trace) -> Float[np.ndarray, "instants *cells"]:
     """The intensity of undetected targets at every instant: the filter again, on the actions of a trace."""
+    if trace.team is not None:
+        return np.asarray(_of_team(problem, episode, jnp.asarray(trace.team.action)))
     return np.asarray(_intensities(problem, episode, jnp.asarray(trace.action)))
+
+
+@eqx.filter_jit
+def _of_team(problem: Problem, episode: Episode, action: Float[Array, "K M m"]) -> Float[Array, "instants *cells"]:
+    """The intensity of the filter that hears every scan."""
+
+    def decide(observation, memory, key):
+        own = action[observation.step, observation.team.number]
+        return own, jnp.zeros_like(observation.mean[:, 0]), memory, ()
+
+    def record(outcome):
+        return outcome.state.central.population.undetected
+
+    after = team_simulate(problem, decide, episode, TRUE, jax.random.key(0), record)[1]
+    return jnp.concatenate([begin(problem, episode).undetected[None], after])
 
 
 @eqx.filter_jit

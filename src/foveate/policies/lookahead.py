@@ -5,6 +5,10 @@ Ways lead to coarse places and to tracks. Along each the expected cost is predic
 count from their step. A track of existence r and error d counts r 2 E min(d^2, c^2) / c^2, and 1 - r, where it is
 reported though it may be false, or r where it is not. After a look that finds it it exists, with the error after that
 measurement, which grows from then on.
+
+The robots of a team choose in turn (sequential greedy assignment, Atanasov et al. 2015): each works out the ways of
+those before it by the same rule, from where it has heard them last, and leaves to them what they will see. Without that
+all copies would run to the same place.
 """
 
 from dataclasses import replace
@@ -55,8 +59,15 @@ class Goals(NamedTuple):
     number: Float[Array, " places"]
 
 
+class Left(NamedTuple):
+    """Shares of each track, and of undetected targets on coarse cells, that the looks of other robots leave."""
+
+    tracks: Float[Array, " n"]
+    cells: Float[Array, " cells"]
+
+
 class LookAhead(Policy):
-    """Takes the first action of the way that leaves the least expected GOSPA."""
+    """Takes the first action of the way that leaves the least expected GOSPA; in a team of what others leave."""
 
     problem: Problem
     steps: int = eqx.field(static=True, default=STEPS)
@@ -70,20 +81,47 @@ class LookAhead(Policy):
     def goals(self, observation: Observation) -> Goals:
         """All tracks and places, with the costs of the ways to them."""
         problem = self.problem.at(observation.step).of_map(observation.map_number)
+        errors = errors_ahead(problem, observation, self.steps)
+        left = self._left_by_mates(problem, observation, errors)
+        return self._goals(problem, observation, errors, left)[0]
+
+    def _goals(
+        self, problem: Problem, observation: Observation, errors: Errors, left: Left | None
+    ) -> tuple[Goals, Float[Array, "goals steps ..."]]:
+        """All goals from the pose of an observation, and the poses on the ways to them."""
         model, cells = detections_of(problem, observation)
         places = undetected_of(model, cells, GOALS[len(model.grid.shape)])
         goals = jnp.concatenate([problem.motion.position(observation.mean), places.position_world])
         poses, first = jax.vmap(lambda goal: _way(problem, observation.pose, goal, self.steps))(goals)
-        errors = errors_ahead(problem, observation, self.steps)
-        cost = jax.vmap(lambda way: self.cost(problem, observation, errors, way))(poses)
+        cost = jax.vmap(lambda way: self.cost(problem, observation, errors, way, left))(poses)
         may = jnp.concatenate([observation.present, jnp.ones(len(places.number), bool)])
-        return Goals(goals, jnp.where(may, cost, jnp.inf), first, places.number)
+        return Goals(goals, jnp.where(may, cost, jnp.inf), first, places.number), poses
 
-    def cost(self, problem: Problem, observation: Observation, errors: Errors, way: Pose) -> Float[Array, ""]:
-        """Expected cost over the steps of a way, and the tail [targets]."""
+    def cost(
+        self, problem: Problem, observation: Observation, errors: Errors, way: Pose, left: Left | None = None
+    ) -> Float[Array, ""]:
+        """Expected cost over the steps of a way, and the tail [targets], of what other robots leave."""
         weight = jnp.ones(self.steps).at[-1].add(self.tail)
-        tracks = _of_tracks(problem, observation, errors, way)
-        return jnp.sum(weight * (tracks + _of_undetected(problem, observation, way)))
+        tracks = _of_tracks(problem, observation, errors, way, left)
+        return jnp.sum(weight * (tracks + _of_undetected(problem, observation, way, left)))
+
+    def _left_by_mates(self, problem: Problem, observation: Observation, errors: Errors) -> Left | None:
+        """What the robots before this one leave on their ways; None where there are none, or none is ever heard."""
+        team = observation.team
+        if team is None or self.problem.team is None or self.problem.team.radio.kind == "silent":
+            return None
+
+        def take(left: Left, mate: tuple) -> tuple[Left, None]:
+            number, pose, age = mate
+            goals, ways = self._goals(problem, replace(observation, pose=pose), errors, left)
+            after = _missed_along(problem, observation, errors, ways[jnp.argmin(goals.cost)], left)
+            is_before = (number < team.number) & (age < self.steps)
+            return jax.tree.map(lambda new, old: jnp.where(is_before, new, old), after, left), None
+
+        places = undetected_of(*detections_of(problem, observation), CELLS[problem.agent.space.dimension])
+        everything = Left(jnp.ones_like(observation.mean[:, 0]), jnp.ones_like(places.number))
+        mates = jnp.arange(len(team.age)), team.pose, team.age
+        return jax.lax.scan(take, everything, jax.tree.map(lambda x: x[:-1], mates))[0]
 
 
 def _way(problem: Problem, pose: Pose, goal: Point, steps: int) -> tuple[Float[Array, "steps ..."], Action]:
@@ -117,7 +155,25 @@ def errors_ahead(problem: Problem, observation: Observation, steps: int) -> Erro
     return Errors(*jax.lax.scan(step, (covariance, after, observation.mean), None, steps)[1])
 
 
-def _of_tracks(problem: Problem, observation: Observation, errors: Errors, way: Pose) -> Float[Array, " steps"]:
+def _missed_along(problem: Problem, observation: Observation, errors: Errors, way: Pose, left: Left) -> Left:
+    """What is left after the looks of a way."""
+    model, cells = detections_of(problem, observation)
+    grid = undetected_of(model, cells, CELLS[len(model.grid.shape)]).grid
+    coarse: DetectionModel = replace(model, grid=grid)
+
+    def step(left: Left, inputs: tuple) -> tuple[Left, None]:
+        pose, position_world = inputs
+        body = problem.agent.space.to_body(pose, position_world)
+        chance = model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1)))
+        tracks = jnp.where(problem.sees(pose, position_world), left.tracks * (1.0 - chance), left.tracks)
+        return Left(tracks, left.cells * (1.0 - cell_detection(problem, coarse, pose).reshape(-1))), None
+
+    return jax.lax.scan(step, left, (way, errors.position_world))[0]
+
+
+def _of_tracks(
+    problem: Problem, observation: Observation, errors: Errors, way: Pose, left: Left | None
+) -> Float[Array, " steps"]:
     """Expected cost of the tracks after each step [targets]."""
     model, r = problem.detections, observation.existence
     assert model is not None, "for problems with detections"
@@ -139,21 +195,25 @@ def _of_tracks(problem: Problem, observation: Observation, errors: Errors, way: 
         since = jnp.where(looks, 0, jnp.minimum(since + 1, steps - 1))
         unseen = cost(r, errors.unseen[k])
         seen = r * cost(jnp.ones_like(r), jnp.take_along_axis(errors.seen, since[None], axis=0)[0])
-        return (unfound, since), jnp.sum(unfound * unseen + (1.0 - unfound) * seen)
+        expected = unfound * unseen + (1.0 - unfound) * seen
+        return (unfound, since), jnp.sum(expected if left is None else left.tracks * expected)
 
     begin = jnp.ones_like(r), jnp.zeros(r.shape, int)
     return jax.lax.scan(step, begin, (way, jnp.arange(steps), errors.position_world))[1]
 
 
-def _of_undetected(problem: Problem, observation: Observation, way: Pose) -> Float[Array, " steps"]:
+def _of_undetected(
+    problem: Problem, observation: Observation, way: Pose, left: Left | None = None
+) -> Float[Array, " steps"]:
     """Expected number of undetected targets after each step."""
     model, cells = detections_of(problem, observation)
     most = CELLS[len(model.grid.shape)]
     found, births = (undetected_of(model, each, most) for each in (cells, model.births))
     coarse: DetectionModel = replace(model, grid=found.grid)
+    number = found.number if left is None else found.number * left.cells
 
-    def step(left, pose):
-        left = left * (1.0 - cell_detection(problem, coarse, pose).reshape(-1))
-        return left + births.number, jnp.sum(left)
+    def step(number, pose):
+        number = number * (1.0 - cell_detection(problem, coarse, pose).reshape(-1))
+        return number + births.number, jnp.sum(number)
 
-    return jax.lax.scan(step, found.number, way)[1]
+    return jax.lax.scan(step, number, way)[1]

@@ -36,7 +36,9 @@ class Searched(NamedTuple):
     def told(self, tokens: Tokens) -> Tokens:
         """The tokens of the observation with these features in front; a cost includes the length of the way."""
         features = jnp.concatenate([self.features, tokens.features], axis=-1)
-        urgency = jnp.stack([PREFERENCE * self.cost, jnp.zeros_like(self.cost)], axis=-1)
+        # The look-ahead of a team leaves out what is others' by itself.
+        nothing = [jnp.zeros_like(self.cost)] * (tokens.urgency.shape[1] - 1)
+        urgency = jnp.stack([PREFERENCE * self.cost, *nothing], axis=-1)
         return tokens._replace(features=jnp.where(tokens.present[:, None], features, 0.0), urgency=urgency)
 
 
@@ -48,6 +50,7 @@ def with_places(observation: Observation) -> Searched:
     problem = None if observation.robot is None else observation.robot.problem
     if observation.undetected is None or observation.existence is None or problem is None:
         raise InputError("observation.undetected = None: expected that of detections without ids, for this policy")
+    team = observation.team
     goals, motion, tracks = LookAhead(problem).goals(observation), problem.motion, observation.present.shape[0]
     best, chosen = jax.lax.top_k(-goals.cost[tracks:], min(PLACES, len(goals.number)))
     count, means = len(best), jax.vmap(motion.state_at)(goals.position_world[tracks:][chosen])
@@ -65,6 +68,7 @@ def with_places(observation: Observation) -> Searched:
         present=present,
         known_input=jnp.concatenate([observation.known_input, nothing]),
         existence=existence,
+        team=None if team is None else replace(team, claims=jnp.pad(team.claims, ((0, 0), (0, count)))),
     )
     is_place = jnp.arange(len(cost)) >= tracks
     features = jnp.stack([is_place.astype(existence.dtype), existence, jnp.log1p(cost)], axis=-1)

@@ -92,6 +92,9 @@ def prepare_replay(
 def _check(scenario: Scenario, problem: Problem, recording: Recording) -> None:
     if not problem.motion.begins_with_position:
         raise InputError("target.Z: a recording holds positions: expected states that begin with them, Z = [I 0]")
+    if problem.detections is not None and problem.team is not None:
+        right = "expected 1 with detections without ids: on a recording only robots that know ids are a team"
+        raise InputError(f"scenario.team.agents = {problem.team.agents}: {right}")
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: replay samples recordings at one tau_s: leave [schedule] out")
     require_dimension(recording, scenario)

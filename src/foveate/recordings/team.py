@@ -53,6 +53,7 @@ def team_measures(trace: Trace, counted: Bool[np.ndarray, "K n"]) -> dict[str, A
     team = trace.team
     if team is None:
         return {}
+    assert team.nees is not None, "of targets with ids"
     robots = team.log_det.shape[1]
     rows = tuple(
         RobotRow(

@@ -142,7 +142,8 @@ class Scenario(Settings):
         require(side is None or len(side) == d, "team.half_side_m", side, f"expected {d} numbers")
         right = "expected none for a team, whose messages hold measurements only"
         require(self.sensor.missed_detections != "used", "sensor.missed_detections", "used", right)
-        require(self.detections is None, "detections", "[..]", "expected none for a team, which knows its targets")
+        if self.detections is not None:
+            self.team.require_tracks(self.view)
         right = "expected false for a team, whose members know all targets from the start"
         require(not self.scenes.birth_and_death, "scenes.birth_and_death", True, right)
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from foveate.io.settings import Settings
 from foveate.io.validate import at_least, require
 from foveate.models.team import Kinds, Radio, Team
+from foveate.scenario.field_of_view import ViewSettings
 from foveate.scenario.kinds import RobotSettings
 
 MOST_AGENTS = 1024
@@ -81,6 +82,14 @@ class TeamSettings(Settings):
         right = right if self.agents > 1 else "expected none for a single robot, which is the scenario's"
         count = None if self.robots is None else len(self.robots)
         require(count is None or 0 < count <= self.agents > 1, "robots", self.robots, right)
+
+    def require_tracks(self, view: ViewSettings) -> None:
+        """Raise InputError unless the robots can share tracks of detections without ids, by the scenario's view."""
+        right = "expected a radio that always works or never (loss = 1), with detections without ids"
+        require(self.radio.radio().kind != "lossy", "team.radio", "[..]", right)
+        for i, robot in enumerate(self.robots or ()):
+            right = "expected the scenario's, with detections without ids: false alarms are uniform in one view"
+            require(robot.view in (None, view), f"team.robots[{i}].view", "[..]", right)
 
     def team(self, kinds: Kinds | None = None) -> Team | None:
         """The team as arrays, of these `kinds` of robots; None of a single robot."""

@@ -36,3 +36,6 @@ class Noise(eqx.Module):
     """Standard normals for the measurements of the other robots of a team."""
     radio: Float[Array, "K M M"] | None = None
     """Uniform in [0, 1), for a team's radio."""
+    mate_steps: Float[Array, "K mates numbers_a_scan"] | None = None
+    mate_fates: Float[Array, "K mates n 2"] | None = None
+    """Uniform in [0, 1), for the scans of the other robots of a team without ids (`simulation.team.mate_scans`)."""

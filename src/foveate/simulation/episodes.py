@@ -17,13 +17,15 @@ from foveate.simulation.drawn import Drawn, Noise
 from foveate.simulation.population import joined, noise_shapes, with_tracks
 from foveate.simulation.records import Arrivals, Episode, Truth
 from foveate.simulation.starts import TRIES, agent_start, map_of, starts, target_starts
-from foveate.simulation.team.records import TeamDraws
+from foveate.simulation.team.mate_scans import mate_scan_shapes, team_draws
 from foveate.simulation.team.starts import MateNumbers, mate_noise, mate_places, mate_shapes, middles
 from foveate.simulation.truth import true_states
 from foveate.types import Count, Key, Point
 
 POPULATION_STREAM = 11
 """Folded into the key of an episode's noise: that of detections without ids changes no other number."""
+MATE_STREAM = 17
+"""Folded into the same key, for the scans of a team's other robots."""
 
 
 def draw_shapes(settings: SceneSettings, problem: Problem) -> tuple[tuple[int, ...], ...]:
@@ -101,14 +103,22 @@ def draw_noise(problem: Problem, key: Key, steps: int, targets: int, with_truth:
     jitter = jax.random.uniform(uniform_key, (steps, targets, d), minval=-1.0)
     uniform: dict[str, Array] = {}
     if problem.detections is not None:
-        sizes = noise_shapes(problem, steps, targets)
-        flat = jax.random.uniform(jax.random.fold_in(key, POPULATION_STREAM), (_size(list(sizes.values())),))
-        uniform = dict(zip(sizes, _cut(flat, list(sizes.values())), strict=True))
+        uniform = _uniform(key, POPULATION_STREAM, noise_shapes(problem, steps, targets))
     noise = Noise(jitter=jitter, process=process, measurement=measurement, first=first, **uniform)
     if problem.team is None or not with_truth:
         return noise
     mates, radio = mate_noise(problem, key, steps, targets)
-    return replace(noise, mates=mates, radio=radio)
+    if problem.detections is None:
+        return replace(noise, mates=mates, radio=radio)
+    scans = _uniform(key, MATE_STREAM, mate_scan_shapes(problem, steps, targets))
+    return replace(noise, mates=mates, radio=radio, **scans)
+
+
+def _uniform(key: Key, stream: int, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
+    """Numbers uniform in [0, 1) in arrays of these shapes, by their names, from a stream of the episode's noise."""
+    sizes = list(shapes.values())
+    flat = jax.random.uniform(jax.random.fold_in(key, stream), (_size(sizes),))
+    return dict(zip(shapes, _cut(flat, sizes), strict=True))
 
 
 def _size(shapes: Sequence[tuple[int, ...]]) -> int:
@@ -136,7 +146,7 @@ def episode_of(
     `birth_and_death` a new target enters at the other side for each that leaves the scene's box: the stationary crowd
     of a street. Raises InputError without truth in a region whose borders targets keep, or with detections without ids.
     """
-    motion, d, others = problem.motion, problem.agent.space.dimension, None
+    motion, d, others, drawn = problem.motion, problem.agent.space.dimension, None, noise
     if problem.detections is not None:
         scene, noise, others = joined(problem, scene, noise, with_truth)
     period = problem.period
@@ -165,10 +175,11 @@ def episode_of(
     error = first_error(problem, settings, noise.first)
     mean = first_mean(problem, settings, first + error, newcomer=False)
     episode = Episode(scene.pose, mean, scene.present, known, scene.horizon, truth, map_number=scene.map_number)
+    if scene.others is not None:
+        alive = None if others is None else others.scans.alive
+        episode = replace(episode, team=team_draws(problem, scene.others, drawn, alive))
     if others is not None:
         return with_tracks(problem, episode, others.scans)
-    if scene.others is not None and noise.mates is not None and noise.radio is not None:
-        episode = replace(episode, team=TeamDraws(scene.others, noise.mates, noise.radio))
     return _with_birth_and_death(problem, settings, episode, error) if birth_and_death else episode
 
 

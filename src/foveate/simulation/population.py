@@ -110,7 +110,7 @@ def others_of(problem: Problem, present: Bool[Array, " n"], noise: Noise) -> Oth
     assert steps is not None, "drawn for problems with detections"
     assert fates is not None, "drawn for problems with detections"
     model, sources = _model(problem)
-    count, place, state = _cut(beginning, _beginning_shapes(problem))
+    count, place, state = cut(beginning, _beginning_shapes(problem))
     certain = sum(sources.first)
     box = jnp.repeat(jnp.arange(len(sources.first)), jnp.array(sources.first, int), total_repeat_length=certain)
     low, high = (
@@ -123,14 +123,14 @@ def others_of(problem: Problem, present: Bool[Array, " n"], noise: Noise) -> Oth
     unused = jnp.zeros(sources.others - sources.beginners, bool)
     alive = jnp.concatenate([present, jnp.ones(certain, bool), scattered, unused])
 
-    parts = jax.vmap(lambda row: tuple(_cut(row, _step_shapes(problem))))(steps)
+    parts = jax.vmap(lambda row: tuple(cut(row, _step_shapes(problem))))(steps)
     born, which, place, state, own, process, measurement, alarms, picked, alarm_order = parts
     survival, detection, order = jnp.moveaxis(jnp.concatenate([fates, own], axis=1), 2, 0)
     births = jax.vmap(lambda u: poisson(u, jnp.sum(sources.rate), sources.births))(born)
     alive, begins, number = _lives(alive, survival < model.survival, births)
     newcomers = _newcomers(problem, begins, number, which, place, state)
     scans = scan_noise(model, alive, detection, alarms, picked, jnp.concatenate([order, alarm_order], axis=1))
-    return Others(first, _normal(process), _normal(measurement), newcomers, scans)
+    return Others(first, normal(process), normal(measurement), newcomers, scans)
 
 
 def scan_noise(
@@ -190,7 +190,7 @@ def _states(
     back = jnp.linalg.pinv(motion.Z)
     root = jnp.linalg.cholesky(inverse_spd(problem.prior_information))
     rest = jnp.eye(motion.state_size, dtype=back.dtype) - multiply(back, motion.Z)
-    drawn = jnp.matmul(_normal(uniform), multiply(rest, root).T, precision="highest")
+    drawn = jnp.matmul(normal(uniform), multiply(rest, root).T, precision="highest")
     return jnp.matmul(position, back.T, precision="highest") + drawn
 
 
@@ -213,11 +213,13 @@ def _lives(
     return jnp.concatenate([first[None], alive]), begins, number
 
 
-def _normal(uniform: Float[Array, "*b"]) -> Float[Array, "*b"]:
+def normal(uniform: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    """Standard normal numbers of uniform ones."""
     return ndtri(jnp.clip(uniform, LEAST, 1.0 - LEAST))
 
 
-def _cut(flat: Float[Array, " size"], shapes: tuple[tuple[int, ...], ...]) -> list[Array]:
+def cut(flat: Float[Array, " size"], shapes: tuple[tuple[int, ...], ...]) -> list[Array]:
+    """Numbers in arrays of these shapes."""
     parts, end = [], 0
     for shape in shapes:
         begin, end = end, end + math.prod(shape)

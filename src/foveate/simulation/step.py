@@ -81,7 +81,8 @@ def stages(problem: Problem, protocol: Protocol, instant: Instant) -> tuple[Stag
         *((motion.stop_at_obstacles,) if problem.obstacles is not None else ()),
     )
     if problem.detections is not None:
-        return (*way, *((scan, update_population) if has_truth else ()))
+        shares = problem.team is not None and problem.team.radio.kind != "silent"  # then the exchange updates
+        return (*way, *((scan,) if shares else (scan, update_population))) if has_truth else way
     return (
         *way,
         motion.expect_noise if problem.sensor.polar is None else expect_polar,

@@ -20,6 +20,7 @@ from foveate.simulation.episodes import Drawn, Noise, draw, draw_shapes, draw_si
 from foveate.simulation.population import noise_shapes
 from foveate.simulation.records import Episode
 from foveate.simulation.starts import check_free
+from foveate.simulation.team.mate_scans import mate_scan_shapes
 from foveate.simulation.team.starts import other_poses, scene_mate_noise
 
 SUITE_SEED = 2023
@@ -162,6 +163,7 @@ def scene_episodes(
         more = [scene_mate_noise(problem, scene, seed, k) for scene in scenes for k in range(episodes)]
         agents = problem.team.agents
         shapes = {"mates": (steps, agents - 1, n, problem.sensor.size), "radio": (steps, agents, agents)}
+        shapes |= mate_scan_shapes(problem, steps, n)
         noise |= {name: _padded([row[name] for row in more], shape) for name, shape in shapes.items()}
     scenes_of_rows = {name: np.repeat(values, episodes, axis=0) for name, values in drawn.items()}
     return _episode_program(_constant(problem), settings)(scenes_of_rows, noise, problem.obstacles)

@@ -1,7 +1,6 @@
 """Episodes of a team: one scan over its steps."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -10,12 +9,14 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
+from foveate.models.detections.expectation import confirmed
 from foveate.models.problem import Problem
 from foveate.simulation.draft import Draft
-from foveate.simulation.records import Episode, Observation, Policy, Protocol, Trace
+from foveate.simulation.records import Episode, Observation, Policy, Protocol, State, Trace
+from foveate.simulation.scans import dropped, expected
 from foveate.simulation.step import instants
 from foveate.simulation.team import step
-from foveate.simulation.team.records import TeamTrace
+from foveate.simulation.team.records import TeamDraws, TeamTrace
 from foveate.simulation.team.step import TeamState
 from foveate.types import Action, Key
 
@@ -55,17 +56,17 @@ def simulate(
     assert problem.team is not None, "of a team's problems"
     assert team is not None, "of a team's episodes"
     robots = jnp.arange(problem.team.agents)
-    per_step = (instants(episode), team.measurement_noise, team.radio)
+    per_step = (instants(episode), (team.measurement_noise, team.radio, team.scans))
 
     def advance(carry, inputs):
         state, memory = carry
-        instant, noise, radio = inputs
+        instant, (noise, radio, scans) = inputs
         predicted = step.predict(problem, state, instant.known_input)
         seen = step.observations(problem, state, predicted, instant.known_input, episode.horizon)
         own = jax.random.fold_in(key, predicted.step[0])
         keys = jax.vmap(lambda number: jax.random.fold_in(own, number))(robots)
         action, claims, memory, notes = jax.vmap(decide)(seen, memory, keys)
-        draws = replace(team, measurement_noise=noise, radio=radio)
+        draws = TeamDraws(team.poses, noise, radio, scans)
         after, drafts, heard = step.act(problem, protocol, state, predicted, instant, draws, (action, claims))
         return (after, memory), record(TeamOutcome(seen, action, notes, after, drafts, heard))
 
@@ -104,29 +105,52 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
     memory = jax.vmap(policy.start)(first_observations(problem, episode, protocol))
 
     def record(outcome: TeamOutcome):
-        robots, central = outcome.state.robots, outcome.state.central
-        error = robots.mean - truth[robots.step[0]]
-        weighed = jnp.einsum("mnij,mnj->mni", robots.information[:, -1], error, precision="highest")
-        own = (outcome.action, log_det_spd(robots.information[:, -1]), jnp.sum(error * weighed, axis=-1))
-        counts = robots.present[0], robots.contacts, robots.rejections
-        return robots.pose, central, own, outcome.drafts.measured, counts, outcome.heard
+        state, robots = outcome.state, outcome.state.robots
+        counts = (
+            robots.contacts,
+            robots.rejections,
+            dropped(state.central) if isinstance(state.central, State) else None,
+        )
+        own = {"action": outcome.action, "visible": outcome.drafts.measured, "heard": outcome.heard}
+        return robots.pose, _central(problem, state), own | _members(problem, robots, truth), counts
 
     _, found = simulate(problem, decider(policy), episode, protocol, key, record, memory=memory)
-    pose, central, (action, log_det, nees), visible, (present, contacts, rejections), heard = found
-    own = {"action": action, "log_det": log_det, "nees": nees, "visible": visible, "heard": heard}
+    pose, central, own, (contacts, rejections, no_room) = found
     first = step.start(problem.of_map(episode.map_number), episode, protocol)
-    poses = jnp.concatenate([first.robots.pose[None], pose])
-    mean, information = (
-        jnp.concatenate([before[None], after]) for before, after in zip(first.central, central, strict=True)
+    poses, central = jax.tree.map(
+        lambda before, after: jnp.concatenate([before[None], after]),
+        (first.robots.pose, _central(problem, first)),
+        (pose, central),
     )
     return Trace(
         pose=poses[:, 0],
-        action=action[:, 0],
-        mean=mean,
-        information=information[:, -1],
-        log_det=log_det_spd(information[1:, -1]),
-        visible=jnp.any(visible, axis=1),
-        present=jnp.concatenate([first.robots.present[:1], present]),
+        action=own["action"][:, 0],
+        log_det=log_det_spd(central["information"][1:]),
+        visible=jnp.any(own["visible"], axis=1),
         contacts=None if contacts is None else jnp.sum(contacts, axis=1),
+        dropped=no_room,
         team=TeamTrace(pose=poses, rejections=rejections, **own),
+        **central,
     )
+
+
+def _central(problem: Problem, state: TeamState) -> dict[str, Array]:
+    """Fields of a trace at an instant that are of the filter that hears every measurement."""
+    central = state.central
+    beliefs = {"mean": central.mean, "information": central.information[-1]}
+    if isinstance(central, State):
+        return {**beliefs, "present": central.present, **expected(problem, central)}
+    return {**beliefs, "present": state.robots.present[0]}
+
+
+def _members(problem: Problem, robots: State, truth: Float[Array, "instants targets n_y"]) -> dict[str, Array | None]:
+    """Fields of a team's trace after a step that are of the robots' own beliefs."""
+    information, population = robots.information[:, -1], robots.population
+    log_det = log_det_spd(information)
+    if population is not None and problem.detections is not None:
+        reported = jax.vmap(confirmed, (None, None, 0))(problem, problem.detections, population.tracks)
+        tracks = {"mean": robots.mean, "information": information, "confirmed": reported}
+        return {"log_det": log_det, "nees": None, **tracks}
+    error = robots.mean - truth[robots.step[0]]
+    weighed = jnp.einsum("mnij,mnj->mni", information, error, precision="highest")
+    return {"log_det": log_det, "nees": jnp.sum(error * weighed, axis=-1)}

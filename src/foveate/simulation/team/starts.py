@@ -14,6 +14,7 @@ from foveate.models.problem import Problem
 from foveate.models.team import Team
 from foveate.scenario.scenes import Scene
 from foveate.simulation.starts import TRIES
+from foveate.simulation.team.mate_scans import mate_scan_shapes
 from foveate.types import Count, Key
 
 STREAM = 13
@@ -83,10 +84,12 @@ def scene_mate_noise(problem: Problem, scene: Scene, seed: int, episode: int) ->
     """Random numbers of the other robots' measurements and of the radio, apart from those of `scene_noise`."""
     assert problem.team is not None, "of a team's problems"
     agents, rng = problem.team.agents, np.random.default_rng([seed, zlib.crc32(scene.id.encode()), episode, 1])
-    return {
+    drawn = {
         "radio": rng.uniform(0.0, 1.0, (scene.horizon, agents, agents)),
         "mates": rng.standard_normal((scene.horizon, agents - 1, len(scene.targets), problem.sensor.size)),
     }
+    shapes = mate_scan_shapes(problem, scene.horizon, len(scene.targets))
+    return drawn | {name: rng.uniform(size=shape) for name, shape in shapes.items()}
 
 
 def other_poses(problem: Problem, scenes: Sequence[Scene]) -> Float[np.ndarray, "scenes mates ..."]:

@@ -12,17 +12,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from foveate.models.belief import Belief
-from foveate.models.fusion import Evidence, evidence_of, linear_pull
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.simulation import step
 from foveate.simulation.draft import Draft
-from foveate.simulation.records import Episode, Instant, Observation, Protocol, State, Truth, observe
+from foveate.simulation.records import Episode, Instant, Observation, Protocol, ScanNoise, State, Truth, observe
 from foveate.simulation.team import window
+from foveate.simulation.team.evidence import evidence, fresh
+from foveate.simulation.team.mate_scans import scans_of_all
 from foveate.simulation.team.radio import Roster, first_roster, links, merged, own_news, views
 from foveate.simulation.team.records import TeamDraws, TeamView
-from foveate.simulation.team.window import Beliefs, Fresh, Message, Window
+from foveate.simulation.team.tracks import central_after, with_tracks_of
+from foveate.simulation.team.window import Beliefs, Message, Window
 from foveate.types import Action, Count
 
 
@@ -37,12 +38,12 @@ class Mail(NamedTuple):
 class TeamState(eqx.Module):
     """Robots after a step, each as a single one's state with a leading axis of M, and what is on its way.
 
-    `central` are the beliefs of a filter that hears every measurement at once. `window` and `mail`, the messages of
-    the last steps that have not arrived, are None for a radio that is perfect or silent.
+    `central` are the beliefs of a filter that hears every measurement at once; without ids its state. `window` and
+    `mail`, the messages of the last steps that have not arrived, are None for a radio that is perfect or silent.
     """
 
     robots: State
-    central: Beliefs
+    central: Beliefs | State
     roster: Roster
     window: Window | None = None
     mail: Mail | None = None
@@ -54,7 +55,8 @@ def start(problem: Problem, episode: Episode, protocol: Protocol) -> TeamState:
     poses, radio = first_poses(episode), problem.team.radio
     robots = jax.vmap(lambda pose: step.start(problem, replace(episode, pose=pose, team=None), protocol))(poses)
     roster = first_roster(poses, episode.mean.shape[0])
-    central = Beliefs(episode.mean, robots.information[0])
+    first = _of_first(robots)
+    central = first if problem.detections is not None else Beliefs(first.mean, first.information)
     if radio.kind != "lossy":
         return TeamState(robots, central, roster)
     beliefs = Beliefs(robots.mean, robots.information)
@@ -79,7 +81,9 @@ def predict(problem: Problem, state: TeamState, known_input: Float[Array, "n m_y
     robots = state.robots
     if problem.team.radio.kind != "perfect":
         return jax.vmap(step.predict, (None, 0, None))(problem, robots, known_input)
-    one = step.predict(problem, jax.tree.map(lambda x: x[0], robots), known_input)
+    one = step.predict(problem, _of_first(robots), known_input)
+    if problem.detections is not None:
+        return with_tracks_of(robots, one)
     beliefs = (jnp.broadcast_to(x, (len(robots.pose), *x.shape)) for x in (one.mean, one.information))
     return _with_beliefs(state, Beliefs(*beliefs)).robots
 
@@ -111,10 +115,13 @@ def act(
     action, claims = decided
     drafts = _drafts(problem, protocol, predicted, instant, draws, action)
     number = predicted.step[0]
+    if problem.detections is not None:
+        return _share_scans(problem, state, predicted, instant, draws, drafts, claims)
     reference = predicted.mean[0]
-    evidence = jax.vmap(lambda draft: _evidence(problem, draft, reference))(drafts)
-    fresh = jax.vmap(_fresh)(drafts) if drafts.restart is not None or instant.arrivals is not None else None
-    measured = window.Step(evidence, reference, instant.known_input, fresh)
+    told = jax.vmap(lambda draft: evidence(problem, draft, reference))(drafts)
+    begun = jax.vmap(fresh)(drafts) if drafts.restart is not None or instant.arrivals is not None else None
+    measured = window.Step(told, reference, instant.known_input, begun)
+    assert isinstance(state.central, Beliefs), "of detections with ids"
     one = jax.tree.map(lambda x: x[None], state.central)
     everything = jnp.ones((1, len(action)), bool)
     central = jax.tree.map(lambda x: x[0], window.updated(problem, one, measured, everything, number))
@@ -126,6 +133,30 @@ def act(
     )
     after, heard = exchange(problem, after, measured, draws, number)
     return after, drafts, heard
+
+
+def _share_scans(
+    problem: Problem,
+    state: TeamState,
+    predicted: State,
+    instant: Instant,
+    draws: TeamDraws,
+    drafts: Draft,
+    claims: Float[Array, "M n"],
+) -> tuple[TeamState, Draft, Bool[Array, "M M"]]:
+    """What `act` returns where detections have no ids, after the drafts of the robots' own steps."""
+    assert problem.team is not None, "of a team's problems"
+    assert isinstance(state.central, State), "of detections without ids"
+    radio, robots, number = problem.team.radio, drafts.state, predicted.step[0]
+    is_shared = radio.kind == "perfect"
+    # Where all have the same population, it has been predicted already.
+    before = _of_first(predicted) if is_shared else step.predict(problem, state.central, instant.known_input)
+    central = central_after(problem, before, drafts)
+    heard = links(radio, problem.agent.space, robots.pose, draws.radio)
+    roster = own_news(state.roster, number + 1, robots.pose, claims)
+    if is_shared:
+        robots, roster = with_tracks_of(robots, central), merged(roster, roster, heard)
+    return replace(state, robots=robots, central=central, roster=roster), drafts, heard
 
 
 def exchange(
@@ -181,42 +212,16 @@ def _drafts(
     positions, count = jax.vmap(problem.agent.space.position)(predicted.pose), len(action)
     others = jnp.arange(count)[:, None] + jnp.arange(1, count)
     mates = positions[others % count] if problem.keep_off_m is not None else None
+    scans = scans_of_all(instant, draws)
 
-    def draft(number: Count, robot: State, action: Action, noise: Array, mates: Array | None) -> Draft:
-        own = replace(instant, truth=Truth(truth.state, noise), mates_world=mates)
+    def draft(
+        number: Count, robot: State, action: Action, noise: Array, mates: Array | None, scans: ScanNoise | None
+    ) -> Draft:
+        own = replace(instant, truth=Truth(truth.state, noise), mates_world=mates, scans=scans)
         return step.act(problem.of_robot(number), protocol, robot, own, action)
 
-    return jax.vmap(draft)(jnp.arange(count), predicted, action, noise, mates)
+    return jax.vmap(draft)(jnp.arange(count), predicted, action, noise, mates, scans)
 
 
-def _fresh(draft: Draft) -> Fresh:
-    """Beliefs that a robot's own step has begun."""
-    begins = jnp.zeros_like(draft.measured) if draft.restart is None else draft.restart[0]
-    if draft.instant.arrivals is not None:
-        begins = begins | (draft.state.present & ~draft.predicted.present)
-    return Fresh(begins, draft.state.mean, draft.state.information[-1])
-
-
-def _evidence(problem: Problem, draft: Draft, reference: Float[Array, "n n_y"]) -> Evidence:
-    """What one robot has measured of every target in a step."""
-    before, corrected, measured, weight = draft.predicted, draft.state.mean, draft.measured, draft.weight
-    if draft.restart is not None or draft.instant.arrivals is not None:
-        # A belief that begins is told as such: its mean is no correction of the one before, and nothing is beside it.
-        begins = _fresh(draft).begins
-        measured, weight = measured & ~begins, jnp.where(begins, 0.0, weight)
-        corrected = jnp.where(begins[:, None], before.mean, corrected)
-    gain = jax.vmap(problem.sensor.information)(draft.covariance) if draft.gain is None else draft.gain
-    taken = jnp.where(measured[:, None, None], gain, 0.0)
-    weighed = weight[..., None, None] * gain
-    growth = jnp.moveaxis(jnp.where(weight[..., None, None] > 0, weighed, 0.0), 0, 1)
-    if problem.sensor.polar is None and draft.sensed is not None:
-        # Not from the corrected mean: a team that exchanges at once needs no correction by each robot.
-        pull = jax.vmap(linear_pull, (None, 0, 0, 0))(
-            problem.sensor.H, draft.covariance, draft.sensed.measurement, reference
-        )
-        return Evidence(taken, jnp.where(measured[:, None], pull, 0.0), growth)
-
-    def of(mean, information, gain, growth, corrected, reference):
-        return evidence_of(Belief(mean, information), gain, growth, corrected, reference)
-
-    return jax.vmap(of)(before.mean, before.information[-1], taken, growth, corrected, reference)
+def _of_first(robots: State) -> State:
+    return jax.tree.map(lambda x: x[0], robots)
