@@ -89,6 +89,20 @@ def test_maps_depend_on_their_number_and_not_on_how_many_there_are():
 
 
 @pytest.mark.parametrize(
+    ("obstacles", "message"),
+    [
+        (CircleObstacles(maps=10**12), "resolution_m = 0.2: expected a larger cell, or fewer maps"),
+        (CircleObstacles(density_per_m2=1e9), r"density_per_m2 = 1000000000.0: expected at most 39.1: 10000 obstacles"),
+        (ForestObstacles(density_per_m2=1e9), r"density_per_m2 = 1000000000.0: expected at most 39.1: 10000 obstacles"),
+    ],
+)
+def test_what_would_take_for_ever_is_said_at_once(obstacles, message):
+    box = BOX if obstacles.dimension == 2 else tuple((*corner, z) for corner, z in zip(BOX, (0.0, 5.0), strict=True))
+    with pytest.raises(InputError, match=message):
+        obstacles.nodes(box)
+
+
+@pytest.mark.parametrize(
     ("obstacles", "scenes"),
     [
         (RoomObstacles(**FEW), HALL),

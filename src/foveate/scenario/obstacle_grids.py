@@ -23,15 +23,25 @@ def shape_nodes(maps: Sequence[Sequence[Shape]], box: Box, cell_m: float) -> Nod
 
     Raises InputError for more than MAX_NODES nodes.
     """
+    counts = node_counts(len(maps), box, cell_m)
     low, high = np.array(box[0]) - PAD_M, np.array(box[1]) + PAD_M
-    counts = np.maximum(2, np.ceil((high - low) / cell_m).astype(int) + 1)
-    total = len(maps) * int(np.prod(counts.astype(float)))
-    right = f"expected a larger cell, or fewer maps: all maps together have {total} nodes, at most {MAX_NODES}"
-    require(total <= MAX_NODES, "resolution_m", cell_m, right)
     nodes = Nodes(np.zeros((1, *counts)), low, cell_m)
     points, most = nodes.positions().reshape(-1, len(low)), float(np.linalg.norm(high - low))
     distance = np.stack([union_distance(shapes, points, most).astype(np.float32) for shapes in maps])
     return nodes._replace(distance=distance.reshape(len(maps), *counts))
+
+
+def node_counts(maps: int, box: Box, cell_m: float) -> tuple[int, ...]:
+    """Nodes along each axis of a grid that holds the box and a border around it.
+
+    Raises InputError where all maps together have more than MAX_NODES.
+    """
+    low, high = np.array(box[0]) - PAD_M, np.array(box[1]) + PAD_M
+    counts = np.maximum(2.0, np.ceil((high - low) / cell_m) + 1.0)
+    total = maps * float(np.prod(counts))
+    right = f"expected a larger cell, or fewer maps: all maps together have {total:.12g} nodes, at most {MAX_NODES}"
+    require(total <= MAX_NODES, "resolution_m", cell_m, right)
+    return tuple(counts.astype(int).tolist())
 
 
 def map_nodes(grid: OccupancyGrid) -> Nodes:

@@ -11,8 +11,11 @@ from foveate.geometry.shapes import Shape
 from foveate.io.settings import tag
 from foveate.io.validate import at_least, positive, require
 from foveate.scenario import random_maps
-from foveate.scenario.obstacle_grids import shape_nodes
+from foveate.scenario.obstacle_grids import node_counts, shape_nodes
 from foveate.scenario.obstacles import BaseObstacles, OccupancyObstacles, ShapeObstacles
+
+MOST_SHAPES = 10_000
+"""Most circles or trunks that a map is expected to have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +65,7 @@ class CircleObstacles(_RandomObstacles):
 
     def shapes_in(self, rng: np.random.Generator, low: np.ndarray, high: np.ndarray) -> list[Shape]:
         """The circles of one map."""
+        _require_few(self.density_per_m2, low, high)
         return random_maps.circles(rng, low, high, self.density_per_m2, self.radius_m)
 
 
@@ -139,6 +143,7 @@ class ForestObstacles(_RandomObstacles):
 
     def shapes_in(self, rng: np.random.Generator, low: np.ndarray, high: np.ndarray) -> list[Shape]:
         """The trunks of one map."""
+        _require_few(self.density_per_m2, low, high)
         return random_maps.forest(rng, low, high, self.density_per_m2, self.radius_m, self.height_m)
 
 
@@ -154,10 +159,18 @@ def _require_range(name: str, value: tuple[float, float], least: float) -> None:
     require(least * (1 - 1e-9) <= value[0] <= value[1], name, value, right)
 
 
+def _require_few(density_per_m2: float, low: np.ndarray, high: np.ndarray) -> None:
+    """Raise InputError for a density that is expected to give a map more than MOST_SHAPES."""
+    most = MOST_SHAPES / float(np.prod((high - low)[:2]))
+    right = f"expected at most {most:.3g}: {MOST_SHAPES} obstacles a map"
+    require(density_per_m2 <= most, "density_per_m2", density_per_m2, right)
+
+
 @lru_cache(maxsize=8)
 def _random_nodes(settings: _RandomObstacles, box: Box) -> Nodes:
     """Signed distances of all maps: each is drawn by its own number, so that more maps leave the others as they are."""
     low, high = np.array(box[0]), np.array(box[1])
+    node_counts(settings.maps + settings.test_maps, box, settings.resolution_m)  # before any is drawn
     # Test maps are numbered backwards, so that they do not depend on the number of maps for training.
     numbers = [*range(settings.maps), *range(-1, -settings.test_maps - 1, -1)]
     rngs = [np.random.default_rng([settings.seed, number < 0, abs(number)]) for number in numbers]
