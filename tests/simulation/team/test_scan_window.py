@@ -53,7 +53,7 @@ def test_a_lossy_radio_without_losses_is_a_perfect_one():
 @pytest.mark.slow
 def test_lost_and_late_scans_are_those_of_a_filter_of_what_was_heard():
     """By gossip in numpy each robot knows some scans; a single robot's filter takes them by step and source."""
-    radio = RadioSettings(range_m=9.0, loss=0.4, delay_steps=1, memory_steps=K)
+    radio = RadioSettings(loss=0.4, delay_steps=1, memory_steps=K)
     problem, episode, trace = play(radio)
     known = known_measurements(trace, radio.delay_steps)
     assert 0 < trace.team.heard.sum() < K * M * (M - 1)
