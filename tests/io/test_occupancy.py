@@ -41,6 +41,10 @@ def test_pixels_are_read_by_their_mode(tmp_path, extra, top):
     assert grid.cell_m == 0.5
 
 
+def test_a_number_may_be_written_with_an_exponent(tmp_path):
+    assert read_map(written(tmp_path, YAML.replace("0.5", "5e-1"))).cell_m == 0.5
+
+
 def test_negate_turns_black_and_white(tmp_path):
     grid = read_map(written(tmp_path, YAML.replace("negate: 0", "negate: 1")))
     assert grid.occupied[:, 1].tolist() == [False, True, True, True, True]
@@ -73,6 +77,11 @@ BAD = {
     "an empty name": (YAML.replace("map.pgm", "''"), "image = ''"),
     "no resolution": (YAML.replace("0.5", ".nan"), "resolution = nan: expected a finite number"),
     "a word": (YAML.replace("0.5", "coarse"), "resolution = 'coarse': expected a finite number"),
+    "a huge number": (YAML.replace("0.5", "9" * 400), "expected a finite number, up to 1e+12"),
+    "a number too large": (YAML.replace("0.5", "1.0e+300"), "expected a finite number, up to 1e+12"),
+    "a huge origin": (YAML.replace("2.0", "9" * 400), "expected [x, y, yaw] of finite numbers"),
+    "brackets": ("[" * 3000, "is not YAML"),
+    "no number in quotes": (YAML.replace("0.5", "'nan'"), "resolution = nan: expected a finite number"),
     "a size of zero": (YAML.replace("0.5", "0.0"), "resolution = 0.0: expected > 0"),
     "rolled": (YAML.replace("[-1.0, 2.0, 0.0]", "[0.0, 0.0, 0.0, 0.1, 0.0, 0.0]"), "no roll and no pitch"),
     "pitched": (YAML.replace("[-1.0, 2.0, 0.0]", "[0.0, 0.0, 0.0, 0.0, 0.1, 0.0]"), "no roll and no pitch"),

@@ -23,6 +23,8 @@ from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
 from foveate.simulation.rollout import rollout
+from foveate.simulation.starts import check_free
+from foveate.simulation.suites import own_suite
 
 HALL = SceneSettings(
     targets_min=2, targets_max=3, half_side_m=(8.0, 8.0), half_side_per_target_m=0.0, agent_spread=1.0, steps=40
@@ -140,6 +142,24 @@ def test_an_episode_in_it_has_no_contact_and_records_what_was_done():
     np.testing.assert_allclose(poses[:, 1:, :2].reshape(-1, 2), ends, atol=1e-4)
 
 
+def test_its_starts_and_ways_keep_the_distance_too():
+    """A wall with a door of 1.2 m at y = 0, which a robot of 0.4 m that keeps 0.6 m does not go through."""
+    wall = ShapeObstacles(boxes=((-0.2, -20.0, 0.2, -0.6), (-0.2, 0.6, 0.2, 5.0)))
+    eye, end = jnp.array([-3.0, 0.0]), jnp.array([[3.0, 0.0]])
+    for keep_off_m, least, most in ((0.0, 5.9, 6.6), (0.6, 13.0, 17.0)):
+        obstacles = replace(SCENARIO, obstacles=replace(wall, keep_off_m=keep_off_m)).problem().obstacles
+        assert obstacles is not None
+        assert least < float(obstacles.ways_to(eye, end, 0.0).length[0]) < most
+
+    problem, walls = KEEPING.problem(), union()
+    starts = [scene.agent[:2] for scene in own_suite(HALL, problem)]
+    assert shapely.distance(walls, shapely.points(np.array(starts))).min() >= CIRCLES.robot_radius_m + KEEP_M
+    shape = CIRCLES.shapes_in(np.random.default_rng([0, False, 0]), np.full(2, -8.0), np.full(2, 8.0))[0]
+    place = shape.corners[0] + [shape.radius + 0.45, 0.0]
+    with pytest.raises(InputError, match=r"agent = .* expected at least 0\.7"):
+        check_free(problem, [replace(own_suite(HALL, problem)[0], agent=(*place.tolist(), 0.0))])
+
+
 def test_a_robots_command_is_shortened_in_it():
     """Of random policies that want ahead, 0.35 m and a margin before a wall; in the open none is."""
     wall = ShapeObstacles(boxes=((2.0, -6.0, 3.0, 6.0),), robot_radius_m=0.2)
@@ -184,6 +204,29 @@ def test_what_cannot_be_kept_is_one_line(name):
     with pytest.raises(InputError) as caught:
         KeepOff(Random(problem), problem, keep_off_m)
     assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_loaded_policy_is_wrapped_as_its_network():
+    policy = foveate.load("any").for_scenario(SCENARIO)
+    safe = KeepOff(policy, SCENARIO.problem(), KEEP_M)
+    assert safe.policy is policy.network
+    with pytest.raises(InputError, match="policy = 'nearest': expected one of foveate"):
+        KeepOff("nearest", SCENARIO.problem(), KEEP_M)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"pose": [0.0, 0.0], "action": [1.0, 0.0]}, "pose = "),
+        ({"pose": [0.0, 0.0, 0.0], "action": [1.0]}, "action = "),
+        ({"pose": [0.0, 0.0, 0.0], "action": [1.0, 0.0], "map_number": 1}, "map_number = 1: expected 0 to 0"),
+    ],
+)
+def test_a_pose_that_does_not_fit_is_one_line(given, words):
+    problem = SCENARIO.problem()
+    with pytest.raises(InputError, match=words) as caught:
+        KeepOff(Random(problem), problem, KEEP_M).shortened(**given)
     assert "\n" not in str(caught.value)
 
 

@@ -87,6 +87,16 @@ def test_a_robot_keeps_out_of_walls_and_sees_nothing_behind_them(scenario, recor
     assert row.in_obstacles == ready.inside.sum() > 0
 
 
+def test_a_robot_that_keeps_off_walls_does_so_in_another_map(scenario, recording, map_file, walls):
+    """The way of the test above, on which one without a filter has contacts."""
+    own = CircleObstacles(maps=1, test_maps=0, keep_off_m=0.1)
+    inside, _ = under(recording, replace(scenario, obstacles=own), map_file)
+    (start,) = agent_starts(recording, inside, [-0.6, -1.4, 0.0], 1, 0)
+    row, trace = drive(prepare_replay(inside, recording, start, 2.0, gate=None), "weaving", Weaving())
+    assert row.contacts == 0
+    assert shapely.distance(walls, shapely.points(np.asarray(trace.pose)[:, :2])).min() >= RADIUS_M + 0.1 - 1e-3
+
+
 def test_targets_in_walls_are_counted_and_said(scenario, recording, map_file):
     """By the cells of the map in which the fixes are, where they are not at a cell's edge."""
     inside, _ = under(recording, scenario, map_file)
@@ -135,7 +145,7 @@ def test_a_fitted_scenario_has_the_map(recording, map_file, tmp_path):
 def test_in_space_walls_hold_the_heights_of_the_recording(map_file):
     flight = made(track(np.arange(9.0), np.linspace([-5.0, 0.0, 1.0], [5.0, 2.0, 4.0], 9)))
     assert map_of(flight, map_file).heights_m == (-1.0, 6.0)
-    own = OccupancyObstacles(file="another.yaml", heights_m=(0.0, 2.0), robot_radius_m=0.4)
+    own = OccupancyObstacles(file="another.yaml", heights_m=(0.0, 2.0), robot_radius_m=0.4, keep_off_m=0.2)
     assert map_of(flight, map_file, own) == replace(own, file=str(map_file), targets="free")
 
 

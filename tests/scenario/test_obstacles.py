@@ -171,6 +171,16 @@ BAD = {
         lambda: Scenario(obstacles=CircleObstacles(robot_radius_m=50.0, **FEW), scenes=HALL),
         "robot_radius_m = 50",
     ),
+    "a wall all over": (
+        lambda: Scenario(obstacles=ShapeObstacles(boxes=((-9.0, -9.0, 9.0, 9.0),)), scenes=HALL),
+        "obstacles.kind: a map has no place outside of obstacles in the box",
+    ),
+    "too far off": (
+        lambda: Scenario(obstacles=CircleObstacles(keep_off_m=50.0, **FEW), scenes=HALL),
+        "keep_off_m = 50",
+    ),
+    "a corner twice": (lambda: ShapeObstacles(polygons=(SQUARE[:1] + SQUARE,)), "none twice and no three in a line"),
+    "doors that it keeps off": (lambda: RoomObstacles(keep_off_m=0.5), "door_m = 1.6: expected > 1.9"),
     "small circles": (lambda: CircleObstacles(radius_m=(0.01, 1.0)), "radius_m = (0.01, 1.0): expected 0.1 <= low"),
     "no maps": (lambda: CircleObstacles(maps=0), "maps = 0: expected >= 1"),
     "paper walls": (lambda: RoomObstacles(wall_m=0.1), "wall_m = 0.1: expected >= a cell, 0.2"),

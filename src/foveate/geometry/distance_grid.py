@@ -18,6 +18,9 @@ from scipy.ndimage import distance_transform_edt
 
 from foveate.types import Count, Scalar
 
+Box = tuple[tuple[float, ...], tuple[float, ...]]
+"""Low and high corner [m]."""
+
 
 class Nodes(NamedTuple):
     """Signed distances [m] at the nodes of `maps` grids, the x axis first; `low` is the position of the first node."""
@@ -41,10 +44,15 @@ class Nodes(NamedTuple):
         axes = [low + self.cell_m * np.arange(n) for low, n in zip(self.low, self.distance.shape[1:], strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
-    def freest(self) -> Float[np.ndarray, "maps d"]:
-        """The node of each map that is farthest from all obstacles [m]."""
-        best = self.distance.reshape(len(self.distance), -1).argmax(axis=1)
-        return self.positions().reshape(-1, len(self.low))[best]
+    def freest(self, box: Box | None = None) -> tuple[Float[np.ndarray, "maps d"], Float[np.ndarray, " maps"]]:
+        """The node of each map that is farthest from all obstacles [m], and how far; in a box, or around a tiny one."""
+        places, distance = self.positions(), self.distance
+        if box is not None:
+            low, high = (np.array(corner) + sign * 0.5 * self.cell_m for corner, sign in zip(box, (-1, 1), strict=True))
+            inside = ((places >= low) & (places <= high)).all(axis=-1)
+            distance = np.where(inside, distance, -np.inf)
+        flat = distance.reshape(len(distance), -1)
+        return places.reshape(-1, len(self.low))[flat.argmax(axis=1)], flat.max(axis=1)
 
 
 Places = list[Float[Array, "*n"]]

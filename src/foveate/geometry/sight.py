@@ -21,7 +21,7 @@ STRIDE_CELLS = 0.75
 """Least step along a line of sight, in cells: an obstacle a cell thick has a point nearer than OPAQUE_CELLS to it."""
 
 RAY_STEPS = 8
-"""Steps along a ray, after which it ends: where it only grazes an obstacle its range is then too short."""
+"""Steps along a ray, after which it ends: where it runs along an obstacle its range is then too short, by metres."""
 
 WAY_CELLS = 1.0
 """Least step along a way, in cells."""
@@ -98,7 +98,7 @@ def least_distance(
 def ranges(
     grid: DistanceGrid, eye: Point, directions_world: Float[Array, "rays d"], most_m: Scalar | float
 ) -> Float[Array, " rays"]:
-    """Free range along rays of unit length, at most `most_m` [m]: never too long, and some cells too short."""
+    """Free range along rays of unit length, at most `most_m` [m]: never too long, but too short along obstacles."""
     line = grid.line(eye, directions_world)
 
     def advance(_, at):

@@ -6,7 +6,7 @@ transparent is unknown. "raw": a pixel is the percentage itself, and above 100 u
 on, and what is unknown.
 """
 
-import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from PIL import Image
 
 from foveate.errors import InputError
 from foveate.io.files import read_text
-from foveate.io.validate import require
+from foveate.io.validate import LARGEST, require
 
 MODES = ("trinary", "scale", "raw")
 KEYS = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate", "mode")
@@ -78,7 +78,7 @@ def _table(path: Path) -> dict[str, Any]:
     text = read_text(path, "map (YAML of map_server)", MAX_YAML_BYTES)
     try:
         table = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path}: is not YAML: {reason}") from error
     if not isinstance(table, dict):
@@ -90,15 +90,21 @@ def _table(path: Path) -> dict[str, Any]:
 
 def _number(path: Path, table: dict[str, Any], name: str, default: float | None) -> float:
     value = table.get(name, default)
-    fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    require(fits, f"{path}: {name}", value, "expected a finite number")
+    if isinstance(value, str):  # YAML has 1e-2 for a text, and map_server for a number
+        with suppress(ValueError):
+            value = float(value)
+    require(_is_number(value), f"{path}: {name}", value, f"expected a finite number, up to {LARGEST:g}")
     return float(value)  # type: ignore[arg-type]  # as just required
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def _origin(path: Path, value: Any) -> Float[np.ndarray, "2"]:
     """Position of the lower left corner of the image; map_server gives x, y and yaw, or x, y, z, roll, pitch, yaw."""
     name, fits = f"{path}: origin", isinstance(value, list) and len(value) in (3, 6)
-    numbers = [x for x in value if isinstance(x, int | float) and math.isfinite(x)] if fits else []
+    numbers = [x for x in value if _is_number(x)] if fits else []
     right = "expected [x, y, yaw] of finite numbers"
     require(fits and len(numbers) == len(value), name, value, right)
     roll, pitch, yaw = (0.0, 0.0, numbers[2]) if len(numbers) == 3 else numbers[3:]

@@ -41,6 +41,11 @@ class Obstacles(eqx.Module):
     targets: Literal["around", "free"] = eqx.field(static=True, default="around")
     keep_off: Scalar | None = None
 
+    @property
+    def reach(self) -> Scalar:
+        """What the agent's position keeps from obstacles [m]: the radius of its body, and what that keeps off."""
+        return self.radius if self.keep_off is None else self.radius + self.keep_off
+
     def of_map(self, number: Count) -> "Obstacles":
         """The same with another map chosen."""
         return replace(self, grid=replace(self.grid, index=number))
@@ -72,7 +77,7 @@ class Obstacles(eqx.Module):
 
     def ways_to(self, eye: Point, points_world: Float[Array, "n d"], standoff: Scalar | float) -> Way:
         """The agent's ways to points [m]; see `Ways.to`."""
-        return self.ways.to(self.grid, self.radius, eye, points_world, standoff)
+        return self.ways.to(self.grid, self.reach, eye, points_world, standoff)
 
     def ranges(
         self, space: Space, pose: Pose, directions_body: Float[Array, "rays d"], most_m: Scalar | float

@@ -7,9 +7,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
+from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Key
+
+
+def _network(policy: Any) -> Policy:
+    """The policy in JAX, of a robot's policy or as it is."""
+    found = getattr(policy, "network", policy)
+    if not isinstance(found, Policy):
+        raise InputError(f"policy = {str(policy)[:80]!r}: expected one of foveate.load or foveate.heuristic_policy")
+    return found
 
 
 class KeepOff(Policy):
@@ -20,11 +29,11 @@ class KeepOff(Policy):
     long as it executes its commands and the map is right; and so it never touches. The shortened action is a part of
     the same arc, since all axes are slowed down by one factor; where hardly a step is left the robot only turns.
 
-    Raises InputError for a robot that cannot stand still, or has a set of commands, and for a problem without
-    obstacles.
+    A policy of `foveate.load` is taken as its network, also one of an ONNX file. Raises InputError for what is no
+    policy, a robot that cannot stand still, or has a set of commands, and for a problem without obstacles.
     """
 
-    policy: Policy
+    policy: Policy = eqx.field(converter=_network)
     problem: Problem
     keep_off_m: float = eqx.field(static=True)
 
@@ -54,8 +63,17 @@ class KeepOff(Policy):
             action: Normalised action, a number for each commanded axis.
             step: Number of the step, which matters with a schedule.
             map_number: Number of the robot's map; None: the first.
+
+        Raises InputError for a pose or an action of another shape, and a map that there is not.
         """
         pose, action = jnp.asarray(pose, float), jnp.asarray(action, float)
+        agent, obstacles = self.problem.agent, self.problem.obstacles
+        shape = (3,) if agent.space.dimension == 2 else (4, 4)
+        require(pose.shape == shape, "pose", pose, f"expected the shape {shape}")
+        require(action.shape == agent.lower.shape, "action", action, f"expected {len(agent.lower)} numbers")
+        if isinstance(map_number, int) and obstacles is not None:
+            maps = obstacles.grid.maps
+            require(0 <= map_number < maps, "map_number", map_number, f"expected 0 to {maps - 1}")
         number = None if map_number is None else jnp.asarray(map_number)
         problem = self.problem.at(jnp.asarray(step)).of_map(number)
         return problem.shortened(pose, action, self.keep_off_m)

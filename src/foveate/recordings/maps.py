@@ -26,8 +26,8 @@ WALL_M = 2.0
 def map_of(recording: Recording, file: str | Path, like: BaseObstacles | None = None) -> OccupancyObstacles:
     """Obstacles of a map's YAML file that recorded targets may pass, where the map is wrong.
 
-    The robot has the size that it has among the obstacles `like`. In space the walls stand between the heights of
-    those, or WALL_M beyond those of the recording.
+    The robot has the size, and keeps the distance, that it has among the obstacles `like`. In space the walls stand
+    between the heights of those, or WALL_M beyond those of the recording.
 
     Raises:
         InputError: The map cannot be read, or does not hold all fixes of the recording.
@@ -43,8 +43,12 @@ def map_of(recording: Recording, file: str | Path, like: BaseObstacles | None = 
     if recording.dimension == 3:
         own = like.heights_m if isinstance(like, OccupancyObstacles) else None
         heights = own or (float(lower[2]) - WALL_M, float(upper[2]) + WALL_M)
-    radius_m = BaseObstacles.robot_radius_m if like is None else like.robot_radius_m
-    return OccupancyObstacles(file=str(file), heights_m=heights, targets="free", robot_radius_m=radius_m)
+    radius_m, keep_off_m = BaseObstacles.robot_radius_m, BaseObstacles.keep_off_m
+    if like is not None:
+        radius_m, keep_off_m = like.robot_radius_m, like.keep_off_m
+    return OccupancyObstacles(
+        file=str(file), heights_m=heights, targets="free", robot_radius_m=radius_m, keep_off_m=keep_off_m
+    )
 
 
 def under(recording: Recording, scenario: Scenario, file: str | Path | None) -> tuple[Scenario, list[str]]:
@@ -134,7 +138,7 @@ def require_free(obstacles: Obstacles | None, place: Float[np.ndarray, " d"], na
 
 
 def _needed(obstacles: Obstacles) -> float:
-    return float(sight.margin(obstacles.grid, obstacles.radius))
+    return float(sight.margin(obstacles.grid, obstacles.reach))
 
 
 def _text(corner: Float[np.ndarray, "2"]) -> str:

@@ -45,7 +45,8 @@ def walls_of(model: RobotModel, grid: OccupancyGrid, radius_m: float, keep_off_m
     scenario = model.scenario
     if scenario.dimension != 2:
         raise InputError("a robot in space: expected one that drives, for a map of the plane")
-    settings, nodes = BaseObstacles(robot_radius_m=radius_m, targets="free"), map_nodes(grid)
+    settings = BaseObstacles(robot_radius_m=radius_m, targets="free", keep_off_m=keep_off_m)
+    nodes = map_nodes(grid)
     obstacles = settings.among(nodes, float(scenario.view.depth_m))
     problem = replace(scenario.problem(), obstacles=obstacles)
     decide = model.decide if model.in_map is None else model.in_map(obstacles)

@@ -5,15 +5,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from foveate.geometry.distance_grid import Nodes, of_cells
+from foveate.geometry.distance_grid import Box, Nodes, of_cells
 from foveate.geometry.shapes import Shape, union_distance
 from foveate.geometry.way_tables import Tables, tables
 from foveate.geometry.ways import Ways
 from foveate.io.occupancy import OccupancyGrid
 from foveate.io.validate import require
 
-Box = tuple[tuple[float, ...], tuple[float, ...]]
-"""Low and high corner [m]."""
 MAX_NODES = 1 << 24
 """Most nodes of all maps together: a quarter of a gigabyte in the plane, half of one in space."""
 PAD_M = 1.0

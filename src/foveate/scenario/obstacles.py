@@ -11,16 +11,18 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.geometry import sight
-from foveate.geometry.distance_grid import DistanceGrid, Nodes
+from foveate.geometry.distance_grid import Box, DistanceGrid, Nodes
 from foveate.geometry.shapes import Shape, is_convex, rectangle
 from foveate.io.occupancy import read_map
 from foveate.io.settings import Settings, tag
 from foveate.io.validate import at_least, positive, require
 from foveate.models.obstacles import Obstacles
-from foveate.scenario.obstacle_grids import Box, extruded, map_nodes, shape_nodes, ways_among
+from foveate.scenario.obstacle_grids import extruded, map_nodes, shape_nodes, ways_among
 
 MAX_SAMPLES = 256
 """Most places on a line of sight at which a soft view looks."""
+
+CONVEX = "expected a convex polygon, counterclockwise, >= 3 corners, none twice and no three in a line"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +32,7 @@ class BaseObstacles(Settings):
     The agent is a ball of `robot_radius_m`, which stops where it would touch. It is stopped, and lines of sight end, at
     up to a cell before an obstacle, never behind it; so a cell should be well below the width of a door. With
     `keep_off_m` every command is shortened before, by the safety filter of `foveate.KeepOff`: the agent keeps this
-    distance more, and has no contact.
+    distance more, from its start on, goes around by ways that are so wide, and has no contact.
     """
 
     robot_radius_m: float = 0.2
@@ -44,6 +46,11 @@ class BaseObstacles(Settings):
         at_least(0, self, "robot_radius_m")
         if self.keep_off_m is not None:
             at_least(0, self, "keep_off_m")
+
+    @property
+    def reach_m(self) -> float:
+        """What the agent's position keeps from obstacles [m]."""
+        return self.robot_radius_m + (self.keep_off_m or 0.0)
 
     def nodes(self, box: Box) -> Nodes:
         """Signed distances of all maps, on grids that hold the box."""
@@ -64,15 +71,16 @@ class BaseObstacles(Settings):
 
         Raises InputError for a map that is not readable, does not hold the box, or has no room for the agent.
         """
-        return self.among(self.nodes(box), depth_m)
+        return self.among(self.nodes(box), depth_m, box)
 
-    def among(self, nodes: Nodes, depth_m: float) -> Obstacles:
-        """Obstacles of other maps than these settings', given as signed distances, for the same agent."""
-        grid, freest = DistanceGrid.of(nodes), nodes.freest()
-        needed = self.robot_radius_m + nodes.slack_m + 0.5 * sight.WAY_CELLS * nodes.cell_m
-        room = float(nodes.distance.reshape(len(freest), -1).max(axis=1).min())
-        right = f"expected less: at the freest place of a map an obstacle is {room:.3g} m away, less than {needed:.3g}"
-        require(room > needed, "robot_radius_m", self.robot_radius_m, right)
+    def among(self, nodes: Nodes, depth_m: float, box: Box | None = None) -> Obstacles:
+        """Obstacles of other maps than these settings', given as signed distances, for the same agent.
+
+        There must be room for it in the box of all starts, if there is one.
+        """
+        grid, (freest, room) = DistanceGrid.of(nodes), nodes.freest(box)
+        needed = self.reach_m + nodes.slack_m + 0.5 * sight.WAY_CELLS * nodes.cell_m
+        self._require_room(float(room.min()), needed)
         samples = math.ceil(depth_m / (sight.STRIDE_CELLS * nodes.cell_m))
         return Obstacles(
             grid=grid,
@@ -84,6 +92,15 @@ class BaseObstacles(Settings):
             targets=self.targets,
             keep_off=None if self.keep_off_m is None else jnp.asarray(self.keep_off_m, float),
         )
+
+    def _require_room(self, room: float, needed: float) -> None:
+        """Raise InputError unless at the freest place of each map the obstacles are more than `needed` [m] away."""
+        if room <= 0:
+            raise InputError("kind: a map has no place outside of obstacles in the box of the scene's starts")
+        margin = needed - self.reach_m
+        name = "keep_off_m" if room > self.robot_radius_m + margin else "robot_radius_m"
+        right = f"expected less: at the freest place of a map an obstacle is {room:.3g} m away, and {needed:.3g} m are "
+        require(room > needed, name, getattr(self, name), f"{right}needed, of them {margin:.3g} m for the grid's cells")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +129,7 @@ class ShapeObstacles(BaseObstacles):
         for low, high in self.heights_m:
             require(low < high, "heights_m", (low, high), "expected low < high")
         for polygon in self.polygons:
-            require(
-                is_convex(polygon), "polygons", polygon, "expected a convex polygon, counterclockwise, >= 3 corners"
-            )
+            require(is_convex(polygon), "polygons", polygon, CONVEX)
         for circle in self.circles:
             require(circle[2] > 0, "circles", circle, "expected x, y, radius > 0")
         size = self.dimension
@@ -170,7 +185,10 @@ class OccupancyObstacles(BaseObstacles):
 
     def nodes(self, box: Box) -> Nodes:
         """Signed distances of the one map, read and checked."""
-        grid = read_map(self.file)
+        try:
+            grid = read_map(self.file)
+        except InputError as error:
+            raise InputError(f"file: {error}") from error
         high = grid.high
         (low_x, low_y), (high_x, high_y) = box[0][:2], box[1][:2]
         holds = grid.low[0] <= low_x and grid.low[1] <= low_y and high_x <= high[0] and high_y <= high[1]

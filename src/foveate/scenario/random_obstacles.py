@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from foveate.geometry.distance_grid import Nodes
+from foveate.geometry.distance_grid import Box, Nodes
 from foveate.geometry.shapes import Shape
 from foveate.io.settings import tag
 from foveate.io.validate import at_least, positive, require
 from foveate.scenario import random_maps
-from foveate.scenario.obstacle_grids import Box, shape_nodes
+from foveate.scenario.obstacle_grids import shape_nodes
 from foveate.scenario.obstacles import BaseObstacles, OccupancyObstacles, ShapeObstacles
 
 
@@ -81,7 +81,7 @@ class RoomObstacles(_RandomObstacles):
         super().__post_init__()
         positive(self, "door_m")
         require(self.wall_m >= self.resolution_m, "wall_m", self.wall_m, f"expected >= a cell, {self.resolution_m:g}")
-        least = 2.0 * (self.robot_radius_m + 1.25 * self.resolution_m)
+        least = 2.0 * (self.reach_m + 1.25 * self.resolution_m)
         right = f"expected > {least:.3g}: the agent's width and a cell and a quarter on each side"
         require(self.door_m > least, "door_m", self.door_m, right)
         right = f"expected > 1.5 (door_m + wall_m) = {1.5 * (self.door_m + self.wall_m):.3g}"
@@ -103,7 +103,7 @@ class StreetObstacles(_RandomObstacles):
     def __post_init__(self) -> None:
         super().__post_init__()
         positive(self, "block_m", "street_m")
-        least = 2.0 * (self.robot_radius_m + 1.25 * self.resolution_m)
+        least = 2.0 * (self.reach_m + 1.25 * self.resolution_m)
         require(self.street_m > least, "street_m", self.street_m, f"expected > {least:.3g}, the width of the agent")
 
     def shapes_in(self, rng: np.random.Generator, low: np.ndarray, high: np.ndarray) -> list[Shape]:

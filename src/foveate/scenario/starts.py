@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from foveate.scenario.obstacle_grids import Box
+from foveate.geometry.distance_grid import Box
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenes import SceneSettings
 

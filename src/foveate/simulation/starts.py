@@ -42,7 +42,7 @@ def starts(
     number = map_of(problem, tries, test)
     assert number is not None, "there are obstacles"
     obstacles = problem.obstacles.of_map(number)
-    start = obstacles.free_place(jax.vmap(agent_at)(jnp.concatenate([agent[None], agent_tries])), obstacles.radius)
+    start = obstacles.free_place(jax.vmap(agent_at)(jnp.concatenate([agent[None], agent_tries])), obstacles.reach)
     numbers = jnp.concatenate([targets[:, None], target_tries], axis=1)
     places = jax.vmap(targets_at, (None, 1), 1)(start, numbers)
     return number, start, jax.vmap(obstacles.free_place, (0, None))(places, jnp.zeros_like(obstacles.radius))
@@ -79,7 +79,8 @@ def target_starts(
 def check_free(problem: Problem, scenes: Sequence[Scene]) -> None:
     """Raise InputError unless agent and targets of all scenes begin outside of the obstacles of their maps.
 
-    The agent needs the distance at which it would be stopped; targets that go around obstacles need that of a point.
+    The agent needs the distance at which it would be stopped, or slowed down; targets that go around obstacles need
+    that of a point.
     """
     obstacles = problem.obstacles
     if obstacles is None:
@@ -93,7 +94,7 @@ def check_free(problem: Problem, scenes: Sequence[Scene]) -> None:
     rows = [[scene.agent[:d], *scene.targets, *[scene.agent[:d]] * (most - len(scene.targets))] for scene in scenes]
     places, numbers = jnp.asarray(np.array(rows), float), jnp.array([scene.map for scene in scenes])
     room = np.asarray(_room(obstacles, numbers, places), float)
-    body, point = (float(sight.margin(obstacles.grid, jnp.asarray(r, float))) for r in (obstacles.radius, 0.0))
+    body, point = (float(sight.margin(obstacles.grid, jnp.asarray(r, float))) for r in (obstacles.reach, 0.0))
     needed = np.array([body, *[point if problem.turns_targets else -np.inf] * most])
     short = room < needed - ROUNDING_M
     if short.any():

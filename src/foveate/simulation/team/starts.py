@@ -59,7 +59,7 @@ def mate_places(
     assert numbers.tries is not None, "drawn where there are obstacles"
     obstacles = problem.obstacles.of_map(map_number)
     places = jax.vmap(jax.vmap(place))(jnp.concatenate([numbers.places[:, None], numbers.tries], axis=1))
-    return jax.vmap(obstacles.free_place, (0, None))(places, obstacles.radius)
+    return jax.vmap(obstacles.free_place, (0, None))(places, obstacles.reach)
 
 
 def middles(numbers: MateNumbers, first: Float[Array, " d"], mates: Float[Array, "mates d"]) -> Float[Array, "n d"]:
