@@ -75,7 +75,7 @@ TESTED_ELSEWHERE = {
     "policies.team_tokens": "learning/test_team_play.py",
     **{
         f"simulation.team.{name}": "simulation/team/test_rollout.py"
-        for name in ("evidence", "radio", "records", "step", "window")
+        for name in ("evidence", "exchange", "radio", "records", "step", "window")
     },
     "simulation.team.mate_scans": "simulation/team/test_tracks.py",
     **dict.fromkeys(("scenario.rows", "simulation.team.starts"), "scenario/test_team.py"),

@@ -36,10 +36,6 @@ BAD = {
         lambda: Scenario(team=PAIR, sensor=SensorSettings(missed_detections="used")),
         "sensor.missed_detections = 'used': expected none for a team",
     ),
-    "tracks over a lossy radio": (
-        lambda: replace(HALL, team=TeamSettings(agents=2, radio=RadioSettings(range_m=9.0))),
-        "team.radio = '[..]': expected a radio that always works or never",
-    ),
     "tracks of robots with different views": (
         lambda: replace(HALL, team=TeamSettings(agents=2, robots=(RobotSettings(view=SectorView(depth_m=1.0)),))),
         "team.robots[0].view = '[..]': expected the scenario's",

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.linalg import inverse_spd, log_det_spd, symmetrise
 from foveate.models.belief import Belief
-from foveate.types import Information, Mean
+from foveate.types import Information, Mean, Scalar
 
 WEIGHTS = 16
 """Covariance intersection tries the weights 0, 1/16, .., 1: any is consistent, and the best one's maximum is flat."""
@@ -59,7 +59,12 @@ def corrected_by(prediction: Belief, evidence: Evidence, reference: Mean) -> Mea
 
 
 def covariance_intersection(own: Belief, other: Belief) -> Belief:
-    """Y = w Y_1 + (1 - w) Y_2, Y mu = w Y_1 mu_1 + (1 - w) Y_2 mu_2, with the weight of the largest det Y."""
+    """Y = (1 - w) Y_1 + w Y_2, Y mu = (1 - w) Y_1 mu_1 + w Y_2 mu_2, with the weight of the largest det Y."""
+    return weighted_intersection(own, other)[0]
+
+
+def weighted_intersection(own: Belief, other: Belief) -> tuple[Belief, Scalar]:
+    """`covariance_intersection`, and the weight w of the other; 0 of equal beliefs."""
     weights = jnp.linspace(0.0, 1.0, WEIGHTS + 1, dtype=own.mean.dtype)[:, None, None]
     # The other's share is added to what is equal in both, so that equal beliefs stay as they are.
     candidates = own.information + weights * (other.information - own.information)
@@ -67,4 +72,5 @@ def covariance_intersection(own: Belief, other: Belief) -> Belief:
     best = jnp.argmax(jnp.where(jnp.isfinite(worth), worth, -jnp.inf))
     information = symmetrise(candidates[best])
     step = other.information @ (other.mean - own.mean)
-    return Belief(own.mean + weights[best, 0, 0] * (inverse_spd(information) @ step), information)
+    weight = weights[best, 0, 0]
+    return Belief(own.mean + weight * (inverse_spd(information) @ step), information), weight

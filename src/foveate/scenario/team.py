@@ -85,8 +85,6 @@ class TeamSettings(Settings):
 
     def require_tracks(self, view: ViewSettings) -> None:
         """Raise InputError unless the robots can share tracks of detections without ids, by the scenario's view."""
-        right = "expected a radio that always works or never (loss = 1), with detections without ids"
-        require(self.radio.radio().kind != "lossy", "team.radio", "[..]", right)
         for i, robot in enumerate(self.robots or ()):
             right = "expected the scenario's, with detections without ids: false alarms are uniform in one view"
             require(robot.view in (None, view), f"team.robots[{i}].view", "[..]", right)

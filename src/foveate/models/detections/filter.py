@@ -62,8 +62,14 @@ def predict(
         # Empty slots keep what they have: after many predictions it would be infinite.
         covariance=jnp.where(exists[:, None, None], spread, tracks.covariance),
     )
-    undetected = model.survival * model.grid.spread(population.undetected, _step_variance(problem)) + model.births
-    return replace(population, tracks=ahead, undetected=undetected)
+    return replace(population, tracks=ahead, undetected=undetected_ahead(problem, model, population.undetected))
+
+
+def undetected_ahead(
+    problem: Problem, model: DetectionModel, undetected: Float[Array, "*cells"]
+) -> Float[Array, "*cells"]:
+    """The intensity of undetected targets one step ahead: u <- p_S (u spread by the motion) + births."""
+    return model.survival * model.grid.spread(undetected, _step_variance(problem)) + model.births
 
 
 def _step_variance(problem: Problem) -> Float[Array, " d"]:

@@ -59,7 +59,8 @@ class TeamTrace(eqx.Module):
     measurements in a row that a robot's gate has rejected; None without a gate.
 
     Without ids beliefs are each robot's own tracks, with their `mean` and `information`, of which the `confirmed` are
-    reported, and `visible` is of true targets; `nees` is None, as nothing says of which target a track is.
+    reported; `expected_number` is that of all targets. `visible` is of true targets, and `nees` is None, as nothing
+    says of which target a track is.
     """
 
     pose: Float[Array, "instants M ..."]
@@ -72,3 +73,4 @@ class TeamTrace(eqx.Module):
     mean: Float[Array, "K M n n_y"] | None = None
     information: Float[Array, "K M n n_y n_y"] | None = None
     confirmed: Bool[Array, "K M n"] | None = None
+    expected_number: Float[Array, "K M"] | None = None

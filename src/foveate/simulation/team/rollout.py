@@ -150,6 +150,7 @@ def _members(problem: Problem, robots: State, truth: Float[Array, "instants targ
     if population is not None and problem.detections is not None:
         reported = jax.vmap(confirmed, (None, None, 0))(problem, problem.detections, population.tracks)
         tracks = {"mean": robots.mean, "information": information, "confirmed": reported}
+        tracks["expected_number"] = jax.vmap(lambda own: own.expected_number)(population)
         return {"log_det": log_det, "nees": None, **tracks}
     error = robots.mean - truth[robots.step[0]]
     weighed = jnp.einsum("mnij,mnj->mni", information, error, precision="highest")

@@ -47,6 +47,11 @@ def central_after(problem: Problem, predicted: State, drafts: Draft) -> State:
     return shown(problem, after, population)
 
 
+def of_first(robots: State) -> State:
+    """The state of the first robot."""
+    return jax.tree.map(lambda x: x[0], robots)
+
+
 def with_tracks_of(robots: State, one: State) -> State:
     """The robots (leading axis M), all with the tracks and undetected targets of one state."""
     shared = {name: getattr(one, name) for name in ("mean", "information", "present", "population")}

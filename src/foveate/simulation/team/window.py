@@ -12,10 +12,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.belief import Belief, predict_information
+from foveate.models.detections.records import Population
 from foveate.models.fusion import Evidence, corrected_by, covariance_intersection
 from foveate.models.problem import Problem
 from foveate.types import Count
@@ -60,10 +61,13 @@ class Window(eqx.Module):
 
 
 class Message(NamedTuple):
-    """What every robot sends: the measurements that it knows, and its beliefs at the beginning of the window."""
+    """What every robot sends: the measurements that it knows, and its beliefs at the beginning of the window.
+
+    Where detections have no ids the measurements are scans, and the beliefs are populations.
+    """
 
     knows: Bool[Array, "M L M"]
-    base: Beliefs
+    base: Beliefs | Population
 
 
 def first_window(problem: Problem, beliefs: Beliefs, levels: int, has_fresh: bool) -> Window:
@@ -83,20 +87,32 @@ def first_window(problem: Problem, beliefs: Beliefs, levels: int, has_fresh: boo
 
 def shifted(window: Window, step: Step) -> Window:
     """The window one step later; of the new step each robot knows its own measurements."""
-    steps = jax.tree.map(lambda old, new: jnp.concatenate([old[1:], new[None]]), window.steps, step)
-    own = jnp.eye(window.knows.shape[0], dtype=bool)[:, None]
-    return Window(steps, window.base, jnp.concatenate([window.knows[:, 1:], own], axis=1))
+    steps, knows = latest(window.steps, step, window.knows)
+    return Window(steps, window.base, knows)
 
 
-def received(window: Window, sent: Message, heard: Bool[Array, "M M"], delay: int) -> Window:
+def latest(steps: PyTree, step: PyTree, knows: Bool[Array, "M L M"]) -> tuple[PyTree, Bool[Array, "M L M"]]:
+    """The steps of a window and who knows what of them, one step later."""
+    steps = jax.tree.map(lambda old, new: jnp.concatenate([old[1:], new[None]]), steps, step)
+    own = jnp.eye(knows.shape[0], dtype=bool)[:, None]
+    return steps, jnp.concatenate([knows[:, 1:], own], axis=1)
+
+
+def told(knows: Bool[Array, "M L M"], heard: Bool[Array, "M M"], delay: int) -> Bool[Array, "M L M"]:
+    """What each robot hears of the measurements that senders knew `delay` steps ago."""
+    news = jnp.any(heard[:, :, None, None] & knows, axis=1)
+    if delay:
+        late = jnp.zeros_like(news[:, :delay])
+        news = jnp.concatenate([news[:, delay:], late], axis=1)
+    return news
+
+
+def received(problem: Problem, window: Window, sent: Message, heard: Bool[Array, "M M"], delay: int) -> Window:
     """The window after the messages that were heard, sent `delay` steps ago: their bases are of the window's own time.
 
     Of several beliefs the best known one of each target is fused, by its last level.
     """
-    knows = jnp.any(heard[:, :, None, None] & sent.knows, axis=1)
-    if delay:
-        late = jnp.zeros_like(knows[:, :delay])
-        knows = jnp.concatenate([knows[:, delay:], late], axis=1)
+    assert isinstance(sent.base, Beliefs), "of detections with ids"
     worth = log_det_spd(sent.base.information[:, -1])
     worth = jnp.where(heard[..., None] & jnp.isfinite(worth), worth, -jnp.inf)  # receiver, sender, target
     best, target = jnp.argmax(worth, axis=1), jnp.arange(worth.shape[-1])
@@ -113,7 +129,7 @@ def received(window: Window, sent: Message, heard: Bool[Array, "M M"], delay: in
 
     each = jax.vmap(jax.vmap(fuse, (0, 1, 0, 0, 0), (0, 1)))
     base = Beliefs(*each(*window.base, mean, information, exists))
-    return replace(window, base=base, knows=window.knows | knows)
+    return replace(window, base=base, knows=window.knows | told(sent.knows, heard, delay))
 
 
 def filtered(problem: Problem, window: Window, last: Count) -> Beliefs:
@@ -131,6 +147,11 @@ def filtered(problem: Problem, window: Window, last: Count) -> Beliefs:
         return after, after
 
     return jax.lax.scan(advance, window.base, (window.steps, jnp.moveaxis(window.knows, 1, 0), numbers))[1]
+
+
+def begun_later(problem: Problem, window: Window, course: Beliefs, last: Count) -> Window:
+    """The window whose beginning is one step later, after the first beliefs of its `course`."""
+    return replace(window, base=jax.tree.map(lambda x: x[0], course))
 
 
 def updated(problem: Problem, beliefs: Beliefs, step: Step, knows: Bool[Array, "M sources"], number: Count) -> Beliefs:
