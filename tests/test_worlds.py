@@ -27,7 +27,7 @@ TRACKS = ROOT / ".." / "shared" / "tracks"
 WANTED = {
     *("paper", "search", "quadrotor", "pan", "pan-tilt", "tutorial", "zara01", "sind"),
     *("rest-200", "set-tracking", "commands-12", "fast-drone", "slow-robot", "crowd-20", "long-1000"),
-    *("team-tracking", "team-lossy", "regions", "team-discover"),
+    *("team-tracking", "team-lossy", "team-rooms", "team-patrol", "regions", "team-discover"),
     *("rooms", "circles", "streets", "forest"),
     *(f"discover-{kind}" for kind in ("sparse", "dense", "births", "clutter", "misses", "space")),
 }
