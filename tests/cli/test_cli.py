@@ -223,22 +223,34 @@ def test_a_training_ends_with_its_verdict(
 
 
 @pytest.mark.parametrize(
-    ("world", "said"),
-    [("team-lossy", "--method policy+hungarian"), ("discover-sparse", "train for longer"), ("pan", "--refine")],
+    ("world", "change", "said"),
+    [
+        ("team-lossy", (), "policy+hungarian"),
+        ("team-discover", (), "policy+hungarian"),
+        ("team-discover", ("--set", "scenario.team.radio.loss=0.5"), "train for longer"),
+        ("discover-sparse", (), "train for longer"),
+        ("pan", (), "--refine"),
+    ],
 )
 def test_what_a_verdict_proposes_is_there_in_that_world(
-    world: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    world: str,
+    change: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ):
-    """Only single robots that know ids refine a policy's actions."""
+    """Single robots that know ids refine a policy's actions; teams assign targets where all know the same ones."""
     config = ROOT / "benchmarks" / "worlds" / f"{world}.toml"
     experiment = load_toml(Experiment, config)
     scores = {"policy": np.array([1.0, 2.0, 4.0]), "still": np.array([2.0, 3.0, 5.0])}
     monkeypatch.setattr("foveate.cli.run.train.train", trained_at_once)
     monkeypatch.setattr("foveate.cli.run.train.judge_run", lambda run: verdict_of(experiment, scores, {}))
-    assert main(["train", "--config", str(config), "--out", str(tmp_path / "a")]) == 0
+    assert main(["train", "--config", str(config), *change, "--out", str(tmp_path / "a")]) == 0
     printed = capsys.readouterr().out
     assert said in printed
-    assert ("--refine" in printed) == (world == "pan")
+    assert ("--refine" in printed) == (said == "--refine")
+    assert ("policy+hungarian" in printed) == (said == "policy+hungarian")
 
 
 def test_an_interrupted_verdict_leaves_the_training(

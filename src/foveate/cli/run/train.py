@@ -120,9 +120,10 @@ def _judge(out: Path, experiment: Experiment) -> None:
     print("  train another policy:  with another --seed; keep the one with the best verdict")
     if "window" in verdict.unbeaten and _may_begin_at_window(experiment):
         print(f"  begin at window:       foveate train --config {out / CONFIG} --set policy.dynamic_window=true")
-    if experiment.scenario.problem().team is not None:
+    team, has_ids = experiment.scenario.problem().team, experiment.scenario.detections is None
+    if team is not None and (has_ids or team.radio.kind == "perfect"):
         print(f"  assign targets:        foveate evaluate {out} --scenes own --protocol true --method policy+hungarian")
-    elif experiment.scenario.detections is None:
+    elif team is None and has_ids:
         print(f"  refine each decision:  foveate plan --run {out} --scenes own --refine 15")
 
 
