@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.episode_data import TRIANGLE, random_episode
 from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from PIL import Image
 from scipy.linalg import expm
@@ -464,3 +465,13 @@ def test_a_learning_curve_in_axes_of_a_caller(tmp_path):
     assert figures.learning_curve(tmp_path, ax=axes) is axes.get_figure()
     assert axes.title.get_parse_math(), "the caller's texts stay as they are"
     np.testing.assert_allclose(axes.lines[-1].get_ydata(), [1.0, 2.0])
+
+
+@pytest.mark.parametrize(("entries", "rows"), [(4, 1), (9, 2)])
+def test_a_legend_wider_than_its_figure_has_more_rows(entries, rows):
+    figure = new_figure(9.0, 3.0)
+    lines = [Line2D([], [], label="track (95 %), heard") for _ in range(entries)]
+    figures.legend_within(figure, lines, 1)
+    (legend,) = figure.legends
+    assert legend.get_window_extent().width <= figure.bbox.width
+    assert figure.get_figheight() == pytest.approx(3.0 + 0.18 * (rows - 1))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -77,8 +78,20 @@ def trajectory_figure(
             draw_scene(axes, data, instant, box, first=column == 0, last=row is rows[-1])
             if width < NARROW and data.space.dimension == 2:
                 axes.locator_params(nbins=4)  # more numbers would touch each other
-    figure.legend(handles=entries, ncols=-(-len(entries) // legend_rows), fontsize=8.5, **LEGEND)
+    legend_within(figure, entries, legend_rows)
     return save(figure, path)
+
+
+def legend_within(figure: Figure, entries: Sequence[Artist], rows: int) -> None:
+    """Draw a legend in `rows` rows, or in more, with a higher figure, where it would be wider than the figure."""
+    while True:
+        columns = -(-len(entries) // rows)
+        legend = figure.legend(handles=list(entries), ncols=columns, fontsize=8.5, **LEGEND)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
+        rows += 1
+        figure.set_figheight(figure.get_figheight() + 0.18)
 
 
 def shrink(title: Text, width: float) -> None:

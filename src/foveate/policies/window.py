@@ -100,7 +100,7 @@ def tried(
 
 
 def commands(agent: Agent, most: int) -> Float[Array, "commands m"]:
-    """The actions of the grid, with at most so many values on each axis, and that of zero velocity."""
+    """The actions of the grid, with at most `most` values on each axis, and that of zero velocity."""
     count = len(agent.axes)
     values = np.linspace(-1.0, 1.0, min(VALUES.get(count, 2), most))
     grid = np.stack(np.meshgrid(*[values] * count, indexing="ij"), axis=-1).reshape(-1, count)

@@ -3,6 +3,7 @@
 import functools
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +30,8 @@ from foveate.simulation.rollout import rollout
 from foveate.simulation.scans import begin
 from foveate.simulation.step import instants, stages
 from foveate.simulation.suites import own_suite, scene_episodes
+from foveate.simulation.team.rollout import without_room
+from foveate.simulation.team.step import start
 
 M, K = 3, 6
 SILENT = RadioSettings(loss=1.0)
@@ -119,6 +122,18 @@ def test_without_a_radio_each_robot_is_alone(method):
         np.testing.assert_array_equal(trace.team.visible[:, m], found.visible)
         np.testing.assert_allclose(trace.team.mean[:, m], found.mean[1:], atol=1e-8)
         np.testing.assert_array_equal(trace.team.confirmed[:, m], found.confirmed[1:])
+
+
+def test_tracks_dropped_from_the_filter_of_any_robot_are_counted():
+    """Three, with four from the filter of all scans and a detection; where that is every robot's filter, five."""
+    for scenario, count in ((silent(ALIKE), 8), (ALIKE, 5)):
+        problem = scenario.problem()
+        state = start(problem, training_episode(problem, SCENES, jax.random.key(0), noise=True), TRUE)
+        counters = jnp.array([0, 2, 1]), jnp.array(4), jnp.array(1)
+        state = eqx.tree_at(
+            lambda s: (s.robots.population.overflow, s.central.population.overflow, s.central.dropped), state, counters
+        )
+        assert without_room(problem, state) == count
 
 
 def test_a_team_changes_no_random_number_of_the_first_robot():

@@ -23,8 +23,8 @@ from foveate.simulation.team.window import Beliefs, Message, Window
 from foveate.types import Count
 
 
-class Ways(NamedTuple):
-    """How robots fuse what a lossy radio brings: functions of a window of their own kind."""
+class Fusion(NamedTuple):
+    """Fusion of what a lossy radio brings: the functions of a window of measurements, or of one of scans."""
 
     shifted: Callable[..., Any]
     received: Callable[..., Any]
@@ -32,8 +32,8 @@ class Ways(NamedTuple):
     begun_later: Callable[..., Any]
 
 
-OF_MEASUREMENTS = Ways(window.shifted, window.received, window.filtered, window.begun_later)
-OF_SCANS = Ways(scan_window.shifted, scan_window.received, scan_window.filtered, scan_window.begun_later)
+OF_MEASUREMENTS = Fusion(window.shifted, window.received, window.filtered, window.begun_later)
+OF_SCANS = Fusion(scan_window.shifted, scan_window.received, scan_window.filtered, scan_window.begun_later)
 
 
 class Mail(NamedTuple):
@@ -112,15 +112,15 @@ def _relayed(
     assert problem.team is not None, "of a team's problems"
     assert state.window is not None, "`start` makes one for a lossy radio"
     delay = problem.team.radio.delay
-    ways = OF_MEASUREMENTS if problem.detections is None else OF_SCANS
-    own = ways.shifted(state.window, measured)
+    fusion = OF_MEASUREMENTS if problem.detections is None else OF_SCANS
+    own = fusion.shifted(state.window, measured)
     arriving, waiting = Mail(Message(own.knows, own.base), state.roster, heard), None
     if delay:
         arriving, waiting = (jax.tree.map(part, state.mail) for part in (lambda x: x[0], lambda x: x[1:]))
-    known = ways.received(problem, own, arriving.message, arriving.heard, delay)
+    known = fusion.received(problem, own, arriving.message, arriving.heard, delay)
     roster = merged(state.roster, arriving.roster, arriving.heard)
-    course = ways.filtered(problem, known, number)
-    following = ways.begun_later(problem, known, course, number)
+    course = fusion.filtered(problem, known, number)
+    following = fusion.begun_later(problem, known, course, number)
     if waiting is not None:
         # Its base is that of the window in which it will arrive.
         base = jax.tree.map(lambda x: x[delay - 1], course)

@@ -109,7 +109,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         counts = (
             robots.contacts,
             robots.rejections,
-            dropped(state.central) if isinstance(state.central, State) else None,
+            without_room(problem, state),
         )
         own = {"action": outcome.action, "visible": outcome.drafts.measured, "heard": outcome.heard}
         return robots.pose, _central(problem, state), own | _members(problem, robots, truth), counts
@@ -141,6 +141,16 @@ def _central(problem: Problem, state: TeamState) -> dict[str, Array]:
     if isinstance(central, State):
         return {**beliefs, "present": central.present, **expected(problem, central)}
     return {**beliefs, "present": state.robots.present[0]}
+
+
+def without_room(problem: Problem, state: TeamState) -> Array | None:
+    """Number of detections and tracks so far for which any filter of the team had no room; None with ids."""
+    central, own = state.central, state.robots.population
+    if not isinstance(central, State) or own is None or problem.team is None:
+        return None
+    count = dropped(central)
+    # Where every message arrives at once the robots' filters are the central one.
+    return count if count is None or problem.team.radio.kind == "perfect" else count + jnp.sum(own.overflow)
 
 
 def _members(problem: Problem, robots: State, truth: Float[Array, "instants targets n_y"]) -> dict[str, Array | None]:

@@ -18,7 +18,7 @@ from foveate.models.detections import filter as pmb
 from foveate.models.detections.fusion import fused
 from foveate.models.detections.records import DetectionModel, Population, Scan
 from foveate.models.problem import Problem
-from foveate.simulation.team.window import Message, latest, told
+from foveate.simulation.team.window import Message, latest, news
 from foveate.types import Count
 
 
@@ -76,7 +76,7 @@ def received(problem: Problem, window: ScanWindow, sent: Message, heard: Bool[Ar
 
     assert isinstance(sent.base, Population), "of detections without ids"
     base = jax.lax.scan(hear, window.base, (sent.base, heard.T))[0]
-    return replace(window, base=base, knows=window.knows | told(sent.knows, heard, delay))
+    return replace(window, base=base, knows=window.knows | news(sent.knows, heard, delay))
 
 
 def filtered(problem: Problem, window: ScanWindow, last: Count) -> Population:

@@ -98,13 +98,13 @@ def latest(steps: PyTree, step: PyTree, knows: Bool[Array, "M L M"]) -> tuple[Py
     return steps, jnp.concatenate([knows[:, 1:], own], axis=1)
 
 
-def told(knows: Bool[Array, "M L M"], heard: Bool[Array, "M M"], delay: int) -> Bool[Array, "M L M"]:
+def news(knows: Bool[Array, "M L M"], heard: Bool[Array, "M M"], delay: int) -> Bool[Array, "M L M"]:
     """What each robot hears of the measurements that senders knew `delay` steps ago."""
-    news = jnp.any(heard[:, :, None, None] & knows, axis=1)
+    known = jnp.any(heard[:, :, None, None] & knows, axis=1)
     if delay:
-        late = jnp.zeros_like(news[:, :delay])
-        news = jnp.concatenate([news[:, delay:], late], axis=1)
-    return news
+        late = jnp.zeros_like(known[:, :delay])
+        known = jnp.concatenate([known[:, delay:], late], axis=1)
+    return known
 
 
 def received(problem: Problem, window: Window, sent: Message, heard: Bool[Array, "M M"], delay: int) -> Window:
@@ -129,7 +129,7 @@ def received(problem: Problem, window: Window, sent: Message, heard: Bool[Array,
 
     each = jax.vmap(jax.vmap(fuse, (0, 1, 0, 0, 0), (0, 1)))
     base = Beliefs(*each(*window.base, mean, information, exists))
-    return replace(window, base=base, knows=window.knows | told(sent.knows, heard, delay))
+    return replace(window, base=base, knows=window.knows | news(sent.knows, heard, delay))
 
 
 def filtered(problem: Problem, window: Window, last: Count) -> Beliefs:
