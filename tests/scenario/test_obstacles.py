@@ -102,6 +102,11 @@ def test_what_would_take_for_ever_is_said_at_once(obstacles, message):
         obstacles.nodes(box)
 
 
+def test_a_box_without_an_area_has_no_circles():
+    """All starts in one place: no density is too much there."""
+    assert CircleObstacles().shapes_in(rng(), np.zeros(2), np.zeros(2)) == []
+
+
 @pytest.mark.parametrize(
     ("obstacles", "scenes"),
     [

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
 from foveate.models.detections.expectation import position_loss
 from foveate.models.detections.records import DetectionModel
 from foveate.models.detections.visibility import cell_detection
 from foveate.models.problem import Problem
-from foveate.policies.search import detections_of, undetected_of
+from foveate.policies.search import Undetected, detections_of, undetected_of
 from foveate.simulation.records import Observation
 from foveate.types import Pose
 
@@ -91,10 +91,8 @@ def of_tracks(
     def step(carry, inputs):
         unfound, since = carry
         pose, k, position_world = inputs
-        body = problem.agent.space.to_body(pose, position_world)
-        chance = model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1)))
-        looks = problem.sees(pose, position_world)
-        unfound = jnp.where(looks, unfound * (1.0 - chance), unfound)
+        looks, missed = _looks(problem, model, pose, position_world)
+        unfound = unfound * missed
         since = jnp.where(looks, 0, jnp.minimum(since + 1, steps - 1))
         unseen = _of_track(model, r, errors.unseen[k])
         seen = r * _of_track(model, jnp.ones_like(r), jnp.take_along_axis(errors.seen, since[None], axis=0)[0])
@@ -114,8 +112,7 @@ def of_undetected(
 ) -> Float[Array, " steps"]:
     """Expected cost after each step of targets undetected before the first one [targets]."""
     model, cells = detections_of(problem, observation)
-    most = CELLS[len(model.grid.shape)]
-    undetected, births = (undetected_of(model, each, most) for each in (cells, model.births))
+    undetected, births = (_coarse(model, each) for each in (cells, model.births))
     coarse: DetectionModel = replace(model, grid=undetected.grid)
     cost = _of_track(model, jnp.ones_like(found_error), found_error)
     first = undetected.number if left is None else undetected.number * left.cells
@@ -134,17 +131,29 @@ def of_undetected(
 def missed_along(problem: Problem, observation: Observation, errors: Errors, way: Pose, left: Left) -> Left:
     """What is left after the looks of a way."""
     model, cells = detections_of(problem, observation)
-    grid = undetected_of(model, cells, CELLS[len(model.grid.shape)]).grid
-    coarse: DetectionModel = replace(model, grid=grid)
+    coarse: DetectionModel = replace(model, grid=_coarse(model, cells).grid)
 
     def step(left: Left, inputs: tuple) -> tuple[Left, None]:
         pose, position_world = inputs
-        body = problem.agent.space.to_body(pose, position_world)
-        chance = model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1)))
-        tracks = jnp.where(problem.sees(pose, position_world), left.tracks * (1.0 - chance), left.tracks)
+        tracks = left.tracks * _looks(problem, model, pose, position_world)[1]
         return Left(tracks, left.cells * (1.0 - cell_detection(problem, coarse, pose).reshape(-1))), None
 
     return jax.lax.scan(step, left, (way, errors.position_world))[0]
+
+
+def _coarse(model: DetectionModel, cells: Float[Array, "*cells"]) -> Undetected:
+    """Expected numbers on the coarse cells of this module."""
+    return undetected_of(model, cells, CELLS[len(model.grid.shape)])
+
+
+def _looks(
+    problem: Problem, model: DetectionModel, pose: Pose, position_world: Float[Array, "n d"]
+) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
+    """True for the tracks that a robot looks at from a pose, and the probability that it does not detect them."""
+    body = problem.agent.space.to_body(pose, position_world)
+    chance = model.probability_at(jnp.sqrt(jnp.sum(body**2, axis=-1)))
+    looks = problem.sees(pose, position_world)
+    return looks, jnp.where(looks, 1.0 - chance, 1.0)
 
 
 def _of_track(model: DetectionModel, r: Float[Array, "*n"], error: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -161,9 +161,10 @@ def _require_range(name: str, value: tuple[float, float], least: float) -> None:
 
 def _require_few(density_per_m2: float, low: np.ndarray, high: np.ndarray) -> None:
     """Raise InputError for a density that is expected to give a map more than MOST_SHAPES."""
-    most = MOST_SHAPES / float(np.prod((high - low)[:2]))
-    right = f"expected at most {most:.3g}: {MOST_SHAPES} obstacles a map"
-    require(density_per_m2 <= most, "density_per_m2", density_per_m2, right)
+    area_m2 = float(np.prod((high - low)[:2]))
+    if density_per_m2 * area_m2 > MOST_SHAPES:
+        right = f"expected at most {MOST_SHAPES / area_m2:.3g}: {MOST_SHAPES} obstacles a map"
+        require(False, "density_per_m2", density_per_m2, right)
 
 
 @lru_cache(maxsize=8)

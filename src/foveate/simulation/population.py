@@ -36,7 +36,8 @@ class Others(NamedTuple):
     scans: ScanNoise
 
 
-def _model(problem: Problem) -> tuple[DetectionModel, Sources]:
+def model_of(problem: Problem) -> tuple[DetectionModel, Sources]:
+    """The model of detections, and where its targets come from."""
     model = problem.detections
     assert model is not None, "for problems with detections"
     assert model.sources is not None, "a scenario's model has them"
@@ -45,13 +46,13 @@ def _model(problem: Problem) -> tuple[DetectionModel, Sources]:
 
 def _beginning_shapes(problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Number, places and states of the targets that are there before the first step."""
-    count, motion = _model(problem)[1].beginners, problem.motion
+    count, motion = model_of(problem)[1].beginners, problem.motion
     return (), (count, motion.dimension), (count, motion.state_size)
 
 
 def _step_shapes(problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Births (number, boxes, places, states), fates and noises of the others, false alarms (number, places, order)."""
-    sources, motion = _model(problem)[1], problem.motion
+    sources, motion = model_of(problem)[1], problem.motion
     born, others, alarms = sources.births, sources.others, sources.clutter
     births = (), (born,), (born, motion.dimension), (born, motion.state_size)
     return *births, (others, 3), (others, motion.state_size), (others, problem.sensor.size), (), (alarms,), (alarms,)
@@ -87,7 +88,7 @@ def joined(problem: Problem, scene: Drawn, noise: Noise, with_truth: bool) -> tu
 
 def with_tracks(problem: Problem, episode: Episode, scans: ScanNoise) -> Episode:
     """The episode with scans, whose beliefs are tracks: of known targets from the start, in the first places."""
-    model, _ = _model(problem)
+    model, _ = model_of(problem)
     count = min(model.tracks, episode.mean.shape[0])
 
     def placed(x: Array) -> Array:
@@ -109,7 +110,7 @@ def others_of(problem: Problem, present: Bool[Array, " n"], noise: Noise) -> Oth
     assert beginning is not None, "drawn for problems with detections"
     assert steps is not None, "drawn for problems with detections"
     assert fates is not None, "drawn for problems with detections"
-    model, sources = _model(problem)
+    model, sources = model_of(problem)
     count, place, state = cut(beginning, _beginning_shapes(problem))
     certain = sum(sources.first)
     box = jnp.repeat(jnp.arange(len(sources.first)), jnp.array(sources.first, int), total_repeat_length=certain)
@@ -159,7 +160,7 @@ def _newcomers(
     state: Float[Array, "K births n_y"],
 ) -> Newcomers | None:
     """New targets by the numbers of their births; None where there are no births."""
-    sources = _model(problem)[1]
+    sources = model_of(problem)[1]
     if sources.births == 0:
         return None
     low, high = (corners[_box(sources.rate, which)] for corners in (sources.low, sources.high))

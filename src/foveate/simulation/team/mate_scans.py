@@ -12,16 +12,14 @@ from jaxtyping import Array, Bool, Float
 from foveate.models.detections.records import DetectionModel
 from foveate.models.problem import Problem
 from foveate.simulation.drawn import Noise
-from foveate.simulation.population import cut, normal, scan_noise
+from foveate.simulation.population import cut, model_of, normal, scan_noise
 from foveate.simulation.records import Instant, ScanNoise
 from foveate.simulation.team.records import MateScans, TeamDraws
 
 
 def _shapes(problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Noise, detection and order of the targets beside those of the scene; false alarms (number, places, order)."""
-    assert problem.detections is not None, "for problems with detections"
-    sources = problem.detections.sources
-    assert sources is not None, "a scenario's model has them"
+    sources = model_of(problem)[1]
     others, alarms = sources.others, sources.clutter
     return (others, problem.sensor.size), (others, 2), (), (alarms,), (alarms,)
 
