@@ -21,8 +21,8 @@ is one is decided before.
 
 A track that only the other has enters with the existence r v / (1 - r + r v), v = u / u0 at its place: Bayes' rule if
 the own looks were not among those of the other, and else too small. Undetected are the targets that both have missed,
-no more than each has: u is the smaller of both, exact if one robot's looks are among the other's, and else too large. Only
-what one robot has returned to its u for want of a slot may be lost by that.
+no more than each has: u is the smaller of both, exact if one robot's looks are among the other's, and else too large.
+Only what one robot has returned to its u for want of a slot may be lost by that.
 """
 
 from dataclasses import replace
