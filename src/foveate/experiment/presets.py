@@ -138,7 +138,7 @@ PRESETS = {
     ),
     "quadrotor": _watching(QUADROTOR),
     # In worlds of random robots. The scenario is that of its verdict and its default.
-    "any": Experiment(policy=ANY, training=replace(ACTOR_CRITIC, worlds="random", epochs=800, check_every=20)),
+    "any": Experiment(policy=ANY, training=replace(ACTOR_CRITIC, worlds="random", epochs=700, check_every=20)),
     "pan": _watching(PAN),
     "pan-tilt": _watching(PAN_TILT),
     "rooms": Experiment(

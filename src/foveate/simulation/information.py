@@ -13,6 +13,7 @@ from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models import belief
 from foveate.models.problem import Problem
+from foveate.models.polar_filter import MAX_STD_PER_RANGE
 from foveate.models.sensor import Softness, detection_weight
 from foveate.models.target import LinearGaussian
 from foveate.simulation.records import Observation, per_target
@@ -78,7 +79,8 @@ def mean_score(problem: Problem, future: Future, action: Float[Array, "K m"], le
 
 def looks(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Float[Array, " n"]:
     """Looks at each target in a step, the mean over the steps that count, weighted by the soft view."""
-    _, weight, counts = _looks(problem, future, action, level)
+    _, weight, _ = _looks(problem, future, action, level)
+    counts = _counts(future, action)
     return jnp.where(future.present, jnp.mean(weight, axis=0, where=counts[:, None]), 0.0)
 
 
@@ -86,17 +88,44 @@ def _added(
     problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
 ) -> tuple[Float[Array, "K n n_y n_y"], Bool[Array, " K"]]:
     """Information M_k that each step adds to each target, and the steps that count."""
-    gain, weight, counts = _looks(problem, future, action, level)
-    added = weight[..., None, None] * gain
+    gain, weight, points_body = _looks(problem, future, action, level)
+    added, counts = weight[..., None, None] * gain, _counts(future, action)
+    if problem.sensor.polar is not None:
+        added = jnp.where(_is_taken(problem, future, added, points_body)[..., None, None], added, 0.0)
     if future.mates is not None:
         added += future.mates
     return jnp.where(counts[:, None, None, None], added, 0.0), counts
 
 
+def _counts(future: Future, action: Float[Array, "K m"]) -> Bool[Array, " K"]:
+    return jnp.arange(len(action)) < future.horizon
+
+
+def _is_taken(
+    problem: Problem, future: Future, added: Float[Array, "K n n_y n_y"], points_body: Float[Array, "K n d"]
+) -> Bool[Array, "K n"]:
+    """Whether the filter of a `polar` sensor would take each measurement (`models.polar_filter`).
+
+    Point-blank it does not, where the information of a bearing is all but infinite.
+    """
+    motion, most = problem.motion, MAX_STD_PER_RANGE**2 * jnp.sum(points_body**2, axis=-1)
+
+    def step(P, x):
+        added, most = x
+        P = P if future.mates is None else P + future.mates
+        Y = P + added
+        covariance = multiply(multiply(motion.Z, inverse_spd(Y)), motion.Z.T)
+        is_taken = jnp.trace(covariance, axis1=-2, axis2=-1) <= most
+        Y = jnp.where(is_taken[:, None, None], Y, P)
+        return jax.vmap(lambda information: belief.predict_information(information, motion))(Y), is_taken
+
+    return jax.lax.scan(step, *jax.lax.stop_gradient((future.information, (added, most))))[1]
+
+
 def _looks(
     problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None
-) -> tuple[Float[Array, "K n n_y n_y"], Float[Array, "K n"], Bool[Array, " K"]]:
-    """Information of a look at each target in each step, the weight of the looks, and the steps that count."""
+) -> tuple[Float[Array, "K n n_y n_y"], Float[Array, "K n"], Float[Array, "K n d"]]:
+    """Information of a look at each target in each step, its weight, and where the target is in the body frame [m]."""
     if problem.schedule is not None:
         raise InputError("the scenario has a schedule: planners need steps of one kind: leave [schedule] out")
     problem = problem.of_map(future.map_number)
@@ -114,14 +143,14 @@ def _looks(
         points_body = agent.space.to_body(pose, positions_world)
         gain = jax.vmap(lambda point: sensor.gain(rotation, point))(points_body)
         if level is None:
-            return gain, problem.sees(pose, positions_world).astype(gain.dtype)
+            return gain, problem.sees(pose, positions_world).astype(gain.dtype), points_body
         weight = detection_weight(sensor.view.signed_distance(points_body), level)
         if obstacles is not None:
             weight = weight * obstacles.weight(agent.space.position(pose), positions_world, level)
-        return gain, weight
+        return gain, weight, points_body
 
     poses = jax.lax.scan(move, future.pose, (action, kept_off))[1]
-    return *jax.vmap(look)(poses, future.state), jnp.arange(len(action)) < future.horizon
+    return jax.vmap(look)(poses, future.state)
 
 
 @jax.custom_vjp

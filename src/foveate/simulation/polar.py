@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from foveate.geometry.linalg import inverse_spd, multiply, symmetrise
+from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models import polar_filter
 from foveate.models.belief import Belief
 from foveate.models.problem import Problem
@@ -62,7 +62,9 @@ def correct_polar(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:
     def correct(mean, information, z):
         covariance = inverse_spd(information)
         after = polar_filter.update(jnp, inverse_spd, polar, mean, covariance, z, sensor.V, frame)
-        return after.mean, multiply(multiply(after.H.T, inverse_spd(after.V)), after.H), after.is_taken
+        gain = multiply(multiply(after.H.T, inverse_spd(after.V)), after.H)
+        # Point-blank the information across the ray may be so large that rounding leaves no definite sum.
+        return after.mean, gain, after.is_taken & jnp.isfinite(log_det_spd(information + gain))
 
     corrected, gain, is_taken = jax.vmap(correct)(
         draft.predicted.mean, draft.predicted.information[-1], sensed.measurement
