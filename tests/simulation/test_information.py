@@ -13,11 +13,17 @@ from foveate.evaluation.evaluate import prepare
 from foveate.experiment.presets import PRESETS
 from foveate.models.sensor import PAPER_SOFTNESS, Softness
 from foveate.planning.receding import FixedActions
+from foveate.scenario.field_of_view import BallView
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.sensor import ScheduleSettings
+from foveate.scenario.scenes import SceneSettings
+from foveate.scenario.sensor import ScheduleSettings, SensorSettings
+from foveate.scenario.target import VelocityTarget
 from foveate.simulation.information import Future, final_log_det, looks, mean_score, score
 from foveate.simulation.records import SURROGATE
 from foveate.simulation.rollout import log_dets
+
+
+VELOCITY = VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.02)
 
 
 def covariance_filter(problem, future, action, weight, mates=(0.0, 0.0)):
@@ -131,6 +137,34 @@ def test_looks_of_a_team_are_measurements_and_what_is_told_is_the_share_of_steps
     assert 0 < mean.max() <= 1
     short = replace(future, horizon=jnp.array(3), present=jnp.array([True, False]))
     np.testing.assert_allclose(jax.jit(lambda f: looks(SPATIAL, f, action, None))(short), mean * [1, 0])
+
+
+def test_no_measurement_counts_that_a_filter_of_ranges_and_bearings_would_not_take():
+    """A camera at rest; three steps of a textbook filter that leaves out what is less well known than half its range."""
+    sensor = SensorSettings(measures="range-bearing", std_range_m=0.2, std_bearing_rad=0.02)
+    view, scenes = BallView(radius_m=9.0, center_m=(0.0, 0.0)), SceneSettings(initial_error="consistent")
+    problem = Scenario(view=view, sensor=sensor, target=VELOCITY, scenes=scenes).problem()
+    positions = np.array([[4.0, 2.0], [0.02, 0.01], [-0.3, 0.2], [12.0, 0.0]])
+    state = np.broadcast_to(np.hstack([positions, np.zeros((4, 2))]), (3, 4, 4))
+    future, still = future_of(problem, [0, 0, 0], state), jnp.zeros((3, 2)).at[:, 0].set(-1.0)
+    A, W, P0 = (np.asarray(x) for x in (problem.motion.A, problem.motion.W, problem.prior_information))
+    expected, taken = [], []
+    for x, y in positions:
+        P, r, log_det = np.linalg.inv(P0), np.hypot(x, y), []
+        H = np.array([[x / r, y / r, 0, 0], [-y / r**2, x / r**2, 0, 0]])
+        for k in range(3):
+            P = P if k == 0 else A @ P @ A.T + W
+            gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.diag([0.2**2, 0.02**2]))
+            after = P - gain @ H @ P
+            taken.append(np.trace(after[:2, :2]) <= 0.25 * r**2 and r < 9)
+            P = after if taken[-1] else P
+            log_det.append(-np.linalg.slogdet(P)[1])
+        expected.append(log_det)
+    assert taken == [True] * 3 + [False] * 9
+    found = jax.jit(lambda f: final_log_det(problem, f, still, None))(future)
+    np.testing.assert_allclose(found, np.array(expected)[:, -1], rtol=1e-6)
+    mean = jax.jit(lambda f: mean_score(problem, f, still, None))(future)
+    assert float(mean) == pytest.approx(np.mean(expected), rel=1e-6)
 
 
 def test_a_schedule_is_rejected():
