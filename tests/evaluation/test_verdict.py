@@ -69,6 +69,15 @@ def test_words_name_heuristics_that_are_not_clearly_beaten():
     )
 
 
+def test_a_policy_that_is_better_with_assigned_targets_is_named():
+    better = {"policy+greedy": POLICY + 0.5 + RNG.normal(0.0, 0.1, 40), "policy+auction": POLICY + 0.1}
+    found = verdict_of(PAPER, {**SCORES, **better}, PLANNED)
+    assert [row.method for row in found.rows[:3]] == ["policy", "policy+greedy", "policy+auction"]
+    assert [row.kind for row in found.rows[:4]] == ["policy"] * 3 + ["heuristic"]
+    assert found.sentences[0].startswith("With assigned targets the policy is better: policy+greedy, by 0.5")
+    assert verdict_of(PAPER, {**SCORES, "policy+greedy": POLICY - 0.5}, PLANNED).sentences[0].startswith("The policy")
+
+
 def test_equal_scores_are_not_beaten():
     found = verdict_of(PAPER, {"policy": POLICY, "twin": POLICY}, {})
     assert (found.winner, found.unbeaten) == ("policy", ("twin",))

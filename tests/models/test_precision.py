@@ -26,7 +26,9 @@ def in_precision(x64, scenario, reversible=True):
     """
     with jax.enable_x64(x64):
         problem = scenario.problem()
-        return problem if reversible is None else replace(problem, motion=replace(problem.motion, is_reversible=reversible))
+        if reversible is None:
+            return problem
+        return replace(problem, motion=replace(problem.motion, is_reversible=reversible))
 
 
 def log_dets(problem, times_unseen, x64):
@@ -239,23 +241,42 @@ def test_beliefs_measured_at_random_stay_right_in_float32(target):
         np.testing.assert_allclose(log_dets_of(False, options), exact, atol=0.1)
 
 
-def test_bearings_taken_near_by_leave_beliefs_definite():
-    """2,000 beliefs after a range and a bearing at 0.05 to 10 m of a target unseen for up to 40 steps."""
-    sensor = SensorSettings(measures="range-bearing", std_range_m=0.2, std_bearing_rad=0.02)
-    target, scenes = VelocityTarget(acceleration_m2_s3=0.02), SceneSettings(initial_error="consistent")
-    problem = in_precision(False, Scenario(sensor=sensor, target=target, scenes=scenes), None)
-    A, W, prior = (np.asarray(x, float) for x in (problem.motion.A, problem.motion.W, problem.prior_information))
-    rng, beliefs = np.random.default_rng(0), []
+def near_and_far(rng):
+    """H and V of a range and a bearing taken at 0.05 to 10 m in a random direction, errors of 0.2 m and 0.02 rad."""
+    angle, r = rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-1.3, 1)
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s, 0, 0], [-s / r, c / r, 0, 0]]), np.diag([0.2**2, 0.02**2])
+
+
+def fine(rng):
+    """H and V of a position with errors of 2 mm, as of a motion capture."""
+    return np.eye(2, 4), 0.002**2 * np.eye(2)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "acceleration_m2_s3", "measurement"),
+    [
+        (SensorSettings(measures="range-bearing", std_range_m=0.2, std_bearing_rad=0.02), 0.02, near_and_far),
+        (SensorSettings(std_m=0.002), 0.3, fine),
+    ],
+)
+def test_a_prediction_keeps_its_digits_after_measurements_much_finer_than_the_motions_noise(
+    sensor, acceleration_m2_s3, measurement
+):
+    """2,000 beliefs about a target that was unseen for up to 40 steps, and then measured."""
+    target = VelocityTarget(acceleration_m2_s3=acceleration_m2_s3)
+    scenario = Scenario(sensor=sensor, target=target, scenes=SceneSettings(initial_error="consistent"))
+    motion = in_precision(False, scenario, None).motion
+    A, W, rng, beliefs = np.asarray(motion.A, float), np.asarray(motion.W, float), np.random.default_rng(0), []
     for _ in range(2_000):
-        covariance, angle, r = np.linalg.inv(prior), rng.uniform(0, 2 * np.pi), 10 ** rng.uniform(-1.3, 1)
+        covariance = np.diag([2.0, 2.0, 1.0, 1.0])
         for _ in range(rng.integers(40)):
             covariance = A @ covariance @ A.T + W
-        c, s = np.cos(angle), np.sin(angle)
-        H = np.array([[c, s, 0, 0], [-s / r, c / r, 0, 0]])
-        beliefs.append(np.linalg.inv(covariance) + H.T @ np.diag([0.2**-2, 0.02**-2]) @ H)
+        H, V = measurement(rng)
+        beliefs.append(np.linalg.inv(covariance) + H.T @ np.linalg.inv(V) @ H)
     exact = -np.linalg.slogdet(A @ np.linalg.inv(beliefs) @ A.T + W)[1]
     with jax.enable_x64(False):
-        predict = jax.jit(jax.vmap(lambda information: predict_information(information, problem.motion)))
+        predict = jax.jit(jax.vmap(lambda information: predict_information(information, motion)))
         found = np.asarray(predict(jnp.asarray(beliefs)), float)
     sign, log_det = np.linalg.slogdet(found)
     assert (sign > 0).all()

@@ -22,7 +22,6 @@ from foveate.simulation.information import Future, final_log_det, looks, mean_sc
 from foveate.simulation.records import SURROGATE
 from foveate.simulation.rollout import log_dets
 
-
 VELOCITY = VelocityTarget(kind="constant_velocity", acceleration_m2_s3=0.02)
 
 
@@ -140,7 +139,7 @@ def test_looks_of_a_team_are_measurements_and_what_is_told_is_the_share_of_steps
 
 
 def test_no_measurement_counts_that_a_filter_of_ranges_and_bearings_would_not_take():
-    """A camera at rest; three steps of a textbook filter that leaves out what is less well known than half its range."""
+    """A robot at rest; three steps of a textbook filter, without what is then less well known than half its range."""
     sensor = SensorSettings(measures="range-bearing", std_range_m=0.2, std_bearing_rad=0.02)
     view, scenes = BallView(radius_m=9.0, center_m=(0.0, 0.0)), SceneSettings(initial_error="consistent")
     problem = Scenario(view=view, sensor=sensor, target=VELOCITY, scenes=scenes).problem()

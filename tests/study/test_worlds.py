@@ -50,7 +50,7 @@ def small(monkeypatch):
     monkeypatch.setattr(shared, "train", train)
     monkeypatch.setattr(shared, "load_run", lambda run: (EXPERIMENT, Nobody(), {}))
     monkeypatch.setattr(worlds, "held_out", lambda *_: object.__new__(HeldOut))
-    monkeypatch.setattr(worlds, "heuristics", lambda experiment: {"still": None, "nearest": None})
+    monkeypatch.setattr(worlds, "heuristics_of", lambda experiment: {"still": None, "nearest": None})
     monkeypatch.setattr(worlds, "policy_scores", policy_scores)
     monkeypatch.setattr(worlds, "planned_scores", planned_scores)
 

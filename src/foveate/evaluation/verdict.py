@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 from foveate.errors import InputError
 from foveate.evaluation.held_out import HeldOut, Scores, held_out, planner_scores, planning_work, policy_scores
 from foveate.evaluation.metrics import DIGITS, MEANINGS
+from foveate.evaluation.rivals import compared
 from foveate.evaluation.summary_table import number
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
@@ -19,8 +20,7 @@ from foveate.io.progress import Bar
 from foveate.io.provenance import provenance
 from foveate.io.records import from_table
 from foveate.io.tables import Table, html, text
-from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS, Objective, ProtocolName
-from foveate.planning.named import assigned_in, heuristic_in
+from foveate.names import Objective, ProtocolName
 from foveate.planning.shooting import ONLINE, PlanSettings
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import SUITE_SEED
@@ -51,7 +51,7 @@ class VerdictRow:
     """A method in the first `episodes` held-out episodes: mean score and its standard error.
 
     `difference` is the policy's score minus this method's, the mean over the same episodes, with its standard error;
-    None for the policy itself.
+    None for the policy itself. In a team that has rows of its own with assigned targets, too.
     """
 
     method: str
@@ -117,11 +117,22 @@ class Verdict:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words."""
-        without = (f"No planner: {self.no_planner}.",) if self.no_planner else ()
+        said = [f"No planner: {self.no_planner}."] if self.no_planner else []
+        if better := self._better_assigned():
+            lead = f"{-(better.difference or 0.0):.{DIGITS[self.objective]}f}"
+            said.append(f"With assigned targets the policy is better: {better.method}, by {lead}.")
         if not self.unbeaten:
-            return *without, f"The policy leads every heuristic clearly, by {CLEAR:g} standard errors or more."
+            return *said, f"The policy leads every heuristic clearly, by {CLEAR:g} standard errors or more."
         names = ", ".join(self.unbeaten)
-        return *without, f"The policy has no clear lead ({CLEAR:g} standard errors) over: {names}."
+        return *said, f"The policy has no clear lead ({CLEAR:g} standard errors) over: {names}."
+
+    def _better_assigned(self) -> VerdictRow | None:
+        """The best of the policies with assigned targets, where it is clearly better than the policy alone."""
+        assigned = [row for row in self.rows if row.kind == "policy" and row.difference is not None]
+        best = min(assigned, key=lambda row: row.difference or 0.0, default=None)
+        if best is None or (best.difference or 0.0) > -CLEAR * (best.difference_se or 0.0):
+            return None
+        return best
 
     def __repr__(self) -> str:
         return "\n".join([text(self.table), *self.sentences])
@@ -133,7 +144,7 @@ class Verdict:
 def judge_run(run: Path, quiet: bool = False) -> Verdict:
     """Judge the best policy of a run folder, and write its verdict.json."""
     experiment, policy, _ = load_run(run)
-    with Bar("verdict", 1 + len(heuristics(experiment)), "methods", quiet) as bar:
+    with Bar("verdict", len(compared(experiment, policy)), "methods", quiet) as bar:
         verdict = judge(experiment, policy, bar.update)
     write_verdict(run, verdict)
     return verdict
@@ -146,7 +157,7 @@ def judge(experiment: Experiment, policy: Policy, report: Callable[[int], None] 
     """
     given = held_out(experiment, judged_episodes(experiment), SUITE_SEED)
     episodes, settings = planner_size(experiment)
-    methods = {"policy": policy, **heuristics(experiment)}
+    methods = compared(experiment, policy)
     with ThreadPoolExecutor(2) as pool:  # compilation, most of the wait, runs side by side
         planned = pool.submit(planned_scores, given, settings, episodes)
         scores = policy_scores(given, methods, report)
@@ -160,17 +171,6 @@ def judged_episodes(experiment: Experiment) -> int:
     scenes = experiment.scenario.scenes
     longest = scenes.targets_max * scenes.horizon(scenes.targets_max)
     return min(EPISODES, max(LEAST_EPISODES, TARGET_STEPS // longest))
-
-
-def heuristics(experiment: Experiment) -> dict[str, Policy]:
-    """Every heuristic, for the robot of an experiment; in a team also with targets assigned."""
-    scenario = experiment.scenario
-    found = {name: heuristic_in(scenario, name) for name in HEURISTICS}
-    if scenario.detections is not None:
-        return found | {name: heuristic_in(scenario, name) for name in SEARCHERS}
-    if scenario.problem().team is None:
-        return found
-    return found | {f"uncertain+{rule}": assigned_in(scenario, found["uncertain"], rule) for rule in ASSIGNMENTS}
 
 
 def planner_size(experiment: Experiment) -> tuple[int, PlanSettings]:
@@ -196,10 +196,14 @@ def verdict_of(
 ) -> Verdict:
     """The verdict of the scores of "policy", heuristics and planners; a method with fewer episodes has the first."""
     ours = policies["policy"]
-    kinds: dict[str, Kind] = {name: "policy" if name == "policy" else "heuristic" for name in policies}
+    kinds: dict[str, Kind] = {name: "policy" if name.startswith("policy") else "heuristic" for name in policies}
     kinds |= dict.fromkeys(planners, "planner")
     scores = {**policies, **planners}
-    ranked = sorted(scores, key=lambda name: (get_args(Kind).index(kinds[name]), -float(scores[name].mean())))
+
+    def order(name: str) -> tuple[int, bool, float]:
+        return get_args(Kind).index(kinds[name]), name != "policy", -float(scores[name].mean())
+
+    ranked = sorted(scores, key=order)
     return Verdict(
         objective=experiment.training.objective,
         protocol=experiment.training.select,
@@ -212,7 +216,7 @@ def _row(method: str, kind: Kind, scores: Scores, ours: Scores) -> VerdictRow:
     row = VerdictRow(
         method=method, kind=kind, mean=float(scores.mean()), se=standard_error(scores), episodes=len(scores)
     )
-    if kind == "policy":
+    if method == "policy":
         return row
     lead = ours[: len(scores)] - scores
     return replace(row, difference=float(lead.mean()), difference_se=standard_error(lead))

@@ -1,5 +1,8 @@
 """Motion of one target: y' = A y + B xi + w, w ~ N(0, W) (paper, equation 2)."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +15,9 @@ LARGEST = 9
 MIN_DECAY = 0.3
 """Smallest number on the diagonal of a triangular A whose inverse still costs no digits: what a step leaves of a
 velocity."""
+FINEST = 100.0
+"""Largest variance that the process noise of a step adds, per variance of a measurement, for a prediction by reversal:
+0.001 nat are lost then."""
 
 
 class LinearGaussian(eqx.Module):
@@ -35,6 +41,15 @@ class LinearGaussian(eqx.Module):
         # Positions alone lose no digits by two inverses, which for them cost less.
         reversible = len(Z) < size <= LARGEST and not np.tril(A, -1).any() and np.diag(A).min() > MIN_DECAY
         return cls(*(jnp.asarray(part, float) for part in (A, B, W, Z)), is_reversible=bool(reversible))
+
+    def measured_by(self, gains: Sequence[np.ndarray]) -> "LinearGaussian":
+        """This motion, not reversible if measurements with these H^T V^-1 H (n_y, n_y) are much finer than its noise.
+
+        A reversed prediction subtracts what the measurement told from what the noise leaves of it: in float32 with
+        rounding of some 1e-7 times the square of the ratio.
+        """
+        finest = max(float(np.linalg.eigvals(np.asarray(self.W, float) @ gain).real.max()) for gain in gains)
+        return replace(self, is_reversible=self.is_reversible and finest <= FINEST)
 
     @property
     def dimension(self) -> int:

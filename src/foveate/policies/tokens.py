@@ -37,7 +37,7 @@ TIMES_LEFT = (3.0, 10.0, 40.0)
 """Scales [steps] on which the time left is told."""
 
 MOST = 30.0
-"""Most depths of the view of a deviation, and most nats, that are told: a target is lost then, however far it may be."""
+"""Most depths of the view of a deviation, and most nats, that are told: a target is lost then, however far it is."""
 
 SEARCH_FEATURES = 3
 """Further features where detections have no ids (`policies.places`)."""

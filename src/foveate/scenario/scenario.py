@@ -224,11 +224,11 @@ class Scenario(Settings):
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)
-        motion = LinearGaussian.of(A, B, own if W is None else np.asarray(W, float), Z)
-        # Near by, a bearing leaves information of 1e4 beside 1e0, of which a reversed prediction in float32 subtracts
-        # what it has rounded: a quarter of such beliefs would no longer be definite.
-        is_polar = any(kind.sensor.coordinates for kind in self.kinds)
-        return replace(motion, is_reversible=motion.is_reversible and not is_polar)
+        motion, H = LinearGaussian.of(A, B, own if W is None else np.asarray(W, float), Z), self._observation(Z)
+        if any(kind.sensor.coordinates for kind in self.kinds):
+            return replace(motion, is_reversible=False)  # near by there is no end to what a bearing tells
+        noises = [kind.sensor.noise(len(H)) for kind in self.kinds] + [np.array(V) for V in self.schedule.V]
+        return motion.measured_by([H.T @ np.linalg.inv(V) @ H for V in noises])
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
         """Values of each step of a period; an empty list repeats the constant value."""

@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models import belief
-from foveate.models.problem import Problem
 from foveate.models.polar_filter import MAX_STD_PER_RANGE
+from foveate.models.problem import Problem
 from foveate.models.sensor import Softness, detection_weight
 from foveate.models.target import LinearGaussian
 from foveate.simulation.records import Observation, per_target

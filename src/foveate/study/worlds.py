@@ -10,7 +10,8 @@ import numpy as np
 
 from foveate.errors import InputError
 from foveate.evaluation.held_out import HeldOut, Scores, held_out, planning_work, policy_scores
-from foveate.evaluation.verdict import Kind, heuristics, planned_scores
+from foveate.evaluation.rivals import heuristics_of
+from foveate.evaluation.verdict import Kind, planned_scores
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import PPOSettings
 from foveate.experiment.presets import adjusted
@@ -141,11 +142,11 @@ class _World:
         """Job of all heuristics."""
 
         def compute(note: Say) -> list[Scored]:
-            rules = heuristics(self.experiment)
+            rules = heuristics_of(self.experiment)
             found = policy_scores(self._episodes(), rules, lambda done: note(f"{done} of {len(rules)}"))
             return [self._scored(name, "heuristic", scores) for name, scores in found.items()]
 
-        return self._job("heuristics", lambda: [*heuristics(self.experiment)], compute)
+        return self._job("heuristics", lambda: [*heuristics_of(self.experiment)], compute)
 
     def planner(self) -> Job[Any]:
         """Job of the planner."""
