@@ -1,0 +1,36 @@
+"""What a verdict compares besides the planner: the policy and every heuristic, in a team also with assigned targets."""
+
+from foveate.experiment.experiment import Experiment
+from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS
+from foveate.planning.named import assigned_in, heuristic_in
+from foveate.simulation.records import Policy
+
+ASSIGNED = ("uncertain", "price", "window")
+"""Heuristics that are also assigned targets in a team: in each of the suite's teams one of them is the best."""
+
+
+def compared(experiment: Experiment, policy: Policy) -> dict[str, Policy]:
+    """The policy, as "policy", and all that it is compared with besides a planner, by name."""
+    return policies_of(experiment, policy) | heuristics_of(experiment)
+
+
+def policies_of(experiment: Experiment, policy: Policy) -> dict[str, Policy]:
+    """The policy by the name "policy", and in a team as "policy+RULE" for every rule that assigns targets."""
+    return {"policy": policy} | _assigned(experiment, {"policy": policy})
+
+
+def heuristics_of(experiment: Experiment) -> dict[str, Policy]:
+    """Every heuristic by its name, for the robot of an experiment; in a team those of ASSIGNED also as "NAME+RULE"."""
+    scenario = experiment.scenario
+    names = HEURISTICS if scenario.detections is None else (*HEURISTICS, *SEARCHERS)
+    found = {name: heuristic_in(scenario, name) for name in names}
+    return found | _assigned(experiment, {name: found[name] for name in ASSIGNED})
+
+
+def _assigned(experiment: Experiment, policies: dict[str, Policy]) -> dict[str, Policy]:
+    """The policies with assigned targets; none without a team, and where detections have no ids."""
+    scenario = experiment.scenario
+    if scenario.team is None or scenario.detections is not None:
+        return {}
+    pairs = [(name, rule) for name in policies for rule in ASSIGNMENTS]
+    return {f"{name}+{rule}": assigned_in(scenario, policies[name], rule) for name, rule in pairs}
