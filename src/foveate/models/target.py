@@ -1,7 +1,6 @@
 """Motion of one target: y' = A y + B xi + w, w ~ N(0, W) (paper, equation 2)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -35,21 +34,21 @@ class LinearGaussian(eqx.Module):
     is_reversible: bool = eqx.field(static=True, default=False)
 
     @classmethod
-    def of(cls, A: np.ndarray, B: np.ndarray, W: np.ndarray, Z: np.ndarray) -> "LinearGaussian":
-        """The motion of these matrices, which says by their values whether it is reversible."""
+    def of(
+        cls, A: np.ndarray, B: np.ndarray, W: np.ndarray, Z: np.ndarray, gains: Sequence[np.ndarray] = ()
+    ) -> "LinearGaussian":
+        """The motion of these matrices, which says by their values whether it is reversible.
+
+        It is not if measurements with these `gains` H^T V^-1 H (n_y, n_y) are much finer than its noise: a reversed
+        prediction subtracts what the noise takes from what the measurement told, in float32 with a rounding of some 1e-7
+        times the square of the ratio.
+        """
         A, size = np.asarray(A), len(A)
         # Positions alone lose no digits by two inverses, which for them cost less.
         reversible = len(Z) < size <= LARGEST and not np.tril(A, -1).any() and np.diag(A).min() > MIN_DECAY
-        return cls(*(jnp.asarray(part, float) for part in (A, B, W, Z)), is_reversible=bool(reversible))
-
-    def measured_by(self, gains: Sequence[np.ndarray]) -> "LinearGaussian":
-        """This motion, not reversible if measurements with these H^T V^-1 H (n_y, n_y) are much finer than its noise.
-
-        A reversed prediction subtracts what the measurement told from what the noise leaves of it: in float32 with
-        rounding of some 1e-7 times the square of the ratio.
-        """
-        finest = max(float(np.linalg.eigvals(np.asarray(self.W, float) @ gain).real.max()) for gain in gains)
-        return replace(self, is_reversible=self.is_reversible and finest <= FINEST)
+        finest = max((float(np.linalg.eigvals(W @ gain).real.max()) for gain in gains), default=0.0)
+        parts = (jnp.asarray(part, float) for part in (A, B, W, Z))
+        return cls(*parts, is_reversible=bool(reversible) and finest <= FINEST)
 
     @property
     def dimension(self) -> int:
