@@ -40,7 +40,7 @@ class LinearGaussian(eqx.Module):
         """The motion of these matrices, which says by their values whether it is reversible.
 
         It is not if measurements with these `gains` H^T V^-1 H (n_y, n_y) are much finer than its noise: a reversed
-        prediction subtracts what the noise takes from what the measurement told, in float32 with a rounding of some 1e-7
+        prediction subtracts what the noise takes from what the measurement told, which in float32 is off by some 1e-7
         times the square of the ratio.
         """
         A, size = np.asarray(A), len(A)
