@@ -84,7 +84,7 @@ def test_a_training_begins_with_the_weights_of_a_run(tmp_path):
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)
     wider = replace(begins, policy=replace(begins.policy, target_widths=(9,)))
-    with pytest.raises(InputError, match=r"policy.begin_with = .*expected a run whose network has the sizes"):
+    with pytest.raises(InputError, match=r"policy.begin_with = .*expected a run of the scenario.s space"):
         first_policy(wider, jax.random.key(0))
 
 
