@@ -19,8 +19,7 @@ from foveate.scenario.agent import FreeBody
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
-from foveate.scenario.sensor import SensorSettings
-from foveate.scenario.target import VelocityTarget
+from foveate.scenario.target import DriftTarget, VelocityTarget
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import Episode
 from foveate.simulation.robots import RobotRanges, draw_robot, with_robot
@@ -78,24 +77,8 @@ SECTOR = SectorView(depth_m=5.0, angle_deg=90.0)
 HOLONOMIC = FreeBody(
     kind="body", space="planar", axes=("vx", "vy", "wz"), lower=(-2.0, -2.0, -1.0), upper=(2.0, 2.0, 1.0)
 )
-# As a lidar or a camera does, it measures one direction better than the other.
-UNEVEN = SensorSettings(V=((0.16, 0.0), (0.0, 0.01)), frame="body")
-# They may move for all that the beliefs say, which claim more than their means err by.
-REST = VelocityTarget(
-    kind="constant_velocity",
-    acceleration_m2_s3=0.001,
-    initial_variance_m2=4.0,
-    initial_velocity_variance_m2_s2=1.0,
-)
-AT_REST = replace(
-    CROSSING,
-    half_side_m=(15.0, 15.0),
-    drift_m_s=(0.0, 0.0),
-    jitter_m_s=0.0,
-    steps=192,
-    initial_error="paper",
-    first_error_std=(1.0, 0.0),
-)
+REST = DriftTarget(process_std_m=0.05, initial_variance_m2=1.0)
+STILL = {"drift_m_s": (0.0, 0.0), "jitter_m_s": 0.0}
 COMING_AND_GOING = replace(
     CROSSING, known_drift=False, birth_and_death=True, jitter_m_s=0.0, first_mean_velocity="zero", steps=60
 )
@@ -105,10 +88,13 @@ RANDOM: tuple[tuple[Scenario, Objective], ...] = (
     (Scenario(scenes=SceneSettings(targets_min=2, targets_max=10)), "terminal"),
     (Scenario(scenes=SceneSettings(targets_min=2, targets_max=10, shared_drift=False)), "mean"),
     # Targets that cross a hall, to be known at all times or at the end.
-    (Scenario(view=SECTOR, sensor=UNEVEN, target=WALKERS, scenes=CROSSING), "mean"),
+    (Scenario(view=SECTOR, target=WALKERS, scenes=CROSSING), "mean"),
     (Scenario(agent=HOLONOMIC, view=SECTOR, target=WALKERS, scenes=CROSSING), "terminal"),
-    # Endless watching of targets at rest.
-    (Scenario(view=SECTOR, sensor=UNEVEN, target=REST, scenes=AT_REST), "mean"),
+    # Endless watching of targets that hardly move.
+    (
+        Scenario(view=SECTOR, target=REST, scenes=replace(CROSSING, half_side_m=(15.0, 15.0), steps=192, **STILL)),
+        "mean",
+    ),
     # Many of them, which drift.
     (
         Scenario(

@@ -36,9 +36,6 @@ CROWD_DEPTHS = (0.5, 2.0)
 TIMES_LEFT = (3.0, 10.0, 40.0)
 """Scales [steps] on which the time left is told."""
 
-MOST = 30.0
-"""Most depths of the view of a deviation, and most nats, that are told: a target is lost then, however far it is."""
-
 SEARCH_FEATURES = 3
 """Further features where detections have no ids (`policies.places`)."""
 
@@ -95,7 +92,7 @@ def tokens_of(
         _uncertainty(observation, problem, information, depth),
         jnp.log1p(steps),
         jnp.clip(problem.sensor.view.signed_distance(position_body) / depth, -1.0, 2.0)[:, None],
-        jnp.minimum(jnp.stack([gain, log_det - log_det_spd(ahead), _relative(log_det, present)], -1), MOST) / 4.0,
+        jnp.stack([gain, log_det - log_det_spd(ahead), _relative(log_det, present)], axis=-1) / 4.0,
         _crowd(position_body / depth, gain, present),
     ]
     urgency = [log_det, jnp.sum(steps, axis=-1)]
@@ -177,7 +174,6 @@ def _uncertainty(
     # Positions alone have no velocity: as if it were known.
     velocity = jnp.sum(jnp.diagonal(covariance[:, d : 2 * d, d : 2 * d], axis1=-2, axis2=-1), axis=-1, keepdims=True)
     moves = problem.tau * jnp.sqrt(velocity) / depth
-    diagonal, mean_std = (jnp.minimum(std, MOST * depth) for std in (diagonal, mean_std))
     parts = [jnp.log(diagonal / depth) / 3.0, below, jnp.log(mean_std / sensor_std) / 2.0, jnp.arcsinh(10 * moves)]
     return jnp.concatenate([*parts, jnp.minimum(mean_std / depth, 2.0)], axis=-1)
 

@@ -32,7 +32,7 @@ class RobotRanges:
     reverse: Range = (0.0, 1.0)
     sensor_std: Range = (0.25, 4.0)
     process_std: Range = (0.25, 4.0)
-    prior_std: Range = (0.25, 8.0)
+    prior_std: Range = (0.5, 2.0)
 
 
 class RobotFactors(eqx.Module):
