@@ -106,6 +106,8 @@ FOREST = replace(
 """The flying camera of QUADROTOR among the trunks of a wood of 24 x 24 m, taller than it flies, for 20 s."""
 
 POINTER, ACTOR_CRITIC = PointerSettings(), ActorCriticSettings()
+ANY = replace(POINTER, clips_features=True)
+"""The network for any robot."""
 
 
 def _watching(scenario: Scenario) -> Experiment:
@@ -136,7 +138,7 @@ PRESETS = {
     ),
     "quadrotor": _watching(QUADROTOR),
     # In worlds of random robots. The scenario is that of its verdict and its default.
-    "any": Experiment(policy=POINTER, training=replace(ACTOR_CRITIC, worlds="random", epochs=700)),
+    "any": Experiment(policy=ANY, training=replace(ACTOR_CRITIC, worlds="random", epochs=700)),
     "pan": _watching(PAN),
     "pan-tilt": _watching(PAN_TILT),
     "rooms": Experiment(
@@ -183,7 +185,7 @@ def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
     if preset == "any":
-        return Experiment(scenario=scenario, policy=replace(POINTER, begin_with="any"), training=FINE_TUNING)
+        return Experiment(scenario=scenario, policy=replace(ANY, begin_with="any"), training=FINE_TUNING)
     base = PRESETS[preset]
     scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
     policy, training = base.policy, base.training

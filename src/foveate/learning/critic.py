@@ -10,8 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.learning.trajectories import Trajectory, advantages
-from foveate.policies.layers import Layers, apply_relu, fresh_layers
-from foveate.policies.pointer import SetEncoder
+from foveate.policies.layers import Layers, SetEncoder, apply_relu, fresh_layers
 from foveate.policies.tokens import Tokens, padded
 from foveate.types import Key, Scalar
 

@@ -15,6 +15,7 @@ from foveate.experiment.run_folder import Outcome, Validation
 from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning import actor_critic, policy_gradient
 from foveate.learning.devices import from_first_process, on_all_devices, schedule
+from foveate.learning.feature_range import with_feature_range
 from foveate.learning.learner import EpochReport, Learner, run_epochs
 from foveate.learning.preference import best_preference
 from foveate.learning.run_files import resume_run, start_run
@@ -55,6 +56,9 @@ def train(
     policy = first_policy(experiment, policy_key)
     if not resume and isinstance(policy, PointerPolicy) and not experiment.begins_with:
         policy = best_preference(policy, lambda policy: score_of(policy, episodes, validation_key)[0])
+        if policy.feature_range is not None:
+            assert isinstance(training, ActorCriticSettings), "no other learner trains pointer networks"
+            policy = with_feature_range(worlds_of(experiment), policy, training, jax.random.fold_in(policy_key, 2))
     begun = Progress.of(_begin(experiment, policy, policy_key))
     files, progress, elapsed = (resume_run if resume else start_run)(out, experiment, seed, begun)
     advance = advance_of(experiment)

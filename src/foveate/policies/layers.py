@@ -1,4 +1,4 @@
-"""Parts of networks: chains of dense layers with random weights, and a masked softmax."""
+"""Parts of networks: chains of dense layers with random weights, a masked softmax, and an encoder of sets."""
 
 import itertools
 import math
@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from foveate.policies.tokens import Tokens
 from foveate.types import Key
 
 Layers = tuple[eqx.nn.Linear, ...]
@@ -48,3 +49,17 @@ def masked_softmax(scores: Float[Array, " n"], mask: Bool[Array, " n"]) -> Float
     powers = jnp.where(mask, jnp.exp(jnp.where(mask, scores - shift, 0.0)), 0.0)
     total = jnp.sum(powers)
     return powers / jnp.where(total > 0, total, 1.0)
+
+
+class SetEncoder(eqx.Module):
+    """Layers on every target, pooled by attention: one mean over the targets per query, weighted by its softmax."""
+
+    target_layers: Layers
+    query_layers: Layers
+
+    def __call__(self, tokens: Tokens) -> tuple[Float[Array, "n embedding"], Float[Array, " pooled"]]:
+        """The embedding of each target, and the pooled one of all, zero where none is present."""
+        targets = apply_relu(self.target_layers, tokens.features)
+        (query,) = self.query_layers
+        weights = jax.vmap(masked_softmax, (1, None))(jax.vmap(query)(targets), tokens.present)
+        return targets, (weights @ targets).ravel()

@@ -21,7 +21,7 @@ from foveate.io.settings import Settings, tag
 from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import Objective
-from foveate.policies.layers import Layers, apply_relu, fresh_layers, masked_softmax
+from foveate.policies.layers import Layers, SetEncoder, apply_relu, fresh_layers
 from foveate.policies.places import with_places
 from foveate.policies.tokens import Tokens, token_size, tokens_of, untold
 from foveate.policies.window import told_window
@@ -45,6 +45,9 @@ OTHERS_LOG_WEIGHT = 8.0
 
 LARGEST_CORRECTION = 2.0
 """Largest correction of an aimed action: the whole range of an axis."""
+
+NO_LIMIT = 1e6
+"""More than any feature, and finite, as norms of all weights are to be."""
 
 MAX_RAYS = 256
 """Most rays of a policy."""
@@ -81,6 +84,9 @@ class PointerSettings(Settings):
     """Proposes the command of the heuristic `window`, too, and is told what that expects of steering to each target: a
     training then begins about as good as `window`. It knows of no obstacles; not with rays, nor trained for detections
     without ids."""
+
+    clips_features: bool = False
+    """Clips what it is told to the range met before training: so familiar numbers decide in unfamiliar worlds, too."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -132,21 +138,8 @@ class PointerSettings(Settings):
         preference = (*PREFERENCE, OTHERS_LOG_WEIGHT) if tells_team else PREFERENCE
         told = objective, tells_time, tells_team, self.rays, problem.detections is not None
         window = jnp.full(1, FREE_LOG_WEIGHT) if self.dynamic_window else None
-        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window_log_weight=window)
-
-
-class SetEncoder(eqx.Module):
-    """Layers on every target, pooled by attention: one mean over the targets per query, weighted by its softmax."""
-
-    target_layers: Layers
-    query_layers: Layers
-
-    def __call__(self, tokens: Tokens) -> tuple[Float[Array, "n embedding"], Float[Array, " pooled"]]:
-        """The embedding of each target, and the pooled one of all, zero where none is present."""
-        targets = apply_relu(self.target_layers, tokens.features)
-        (query,) = self.query_layers
-        weights = jax.vmap(masked_softmax, (1, None))(jax.vmap(query)(targets), tokens.present)
-        return targets, (weights @ targets).ravel()
+        limits = jnp.array([[-NO_LIMIT], [NO_LIMIT]]) + jnp.zeros(widths[0][0]) if self.clips_features else None
+        return PointerPolicy(*layers, jnp.array(preference), self.modes, *told, window, limits)
 
 
 class Modes(NamedTuple):
@@ -176,6 +169,7 @@ class PointerPolicy(Policy):
     rays: int = eqx.field(static=True, default=0)
     searches: bool = eqx.field(static=True, default=False)
     window_log_weight: Float[Array, " 1"] | None = None
+    feature_range: Float[Array, "2 features"] | None = None
 
     def start(self, observation: Observation) -> Any:
         """The robot's claims: none for any target; without a team nothing."""
@@ -198,6 +192,13 @@ class PointerPolicy(Policy):
 
     def tokens(self, observation: Observation) -> Tokens:
         """What the network is told of an observation."""
+        tokens = self._tokens(observation)
+        if self.feature_range is None:
+            return tokens
+        features = jnp.clip(tokens.features, *jax.lax.stop_gradient(self.feature_range))
+        return tokens._replace(features=jnp.where(tokens.present[:, None], features, 0.0))
+
+    def _tokens(self, observation: Observation) -> Tokens:
         if not self.searches:
             tokens = tokens_of(observation, self.objective, self.tells_time, self.tells_team, self.rays)
             return tokens if self.window_log_weight is None else told_window(tokens, observation, self.tells_time)

@@ -1,0 +1,54 @@
+"""The range of each feature that a pointer network meets before it is trained, for `clips_features`."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from foveate.experiment.learners import ActorCriticSettings
+from foveate.io.jax_settings import quick_compilation
+from foveate.learning.worlds import World, informed
+from foveate.policies.pointer import PointerPolicy, command
+from foveate.simulation.records import TRUE
+from foveate.simulation.rollout import simulate
+from foveate.types import Key
+
+EPISODES = 64
+"""Episodes of each world."""
+
+OUTSIDE = 0.05
+"""Share of a world's features below the range, and above it: the least and the most may be of one odd episode."""
+
+
+def with_feature_range(
+    worlds: Sequence[World], policy: PointerPolicy, settings: ActorCriticSettings, key: Key
+) -> PointerPolicy:
+    """The policy, which clips each feature to the range over all worlds; the range of a world leaves out OUTSIDE."""
+    keys = jax.random.split(key, len(worlds))
+    ranges = [_range(world, informed(policy, world, settings), key) for world, key in zip(worlds, keys, strict=True)]
+    low, high = np.min([low for low, _ in ranges], axis=0), np.max([high for _, high in ranges], axis=0)
+    return replace(policy, feature_range=jnp.asarray(np.stack([low, high]), float))
+
+
+def _range(world: World, policy: PointerPolicy, key: Key) -> np.ndarray:
+    def play(key: Key) -> tuple[Float[Array, "K n features"], Bool[Array, "K n"]]:
+        scene_key, policy_key = jax.random.split(key)
+        problem, episode = world.drawn(scene_key)
+
+        def decide(observation, memory, key):
+            tokens = policy.tokens(observation)
+            modes = policy.modes(tokens)
+            return command(observation, modes.action[jnp.argmax(modes.log_weight)]), memory, (tokens, observation.step)
+
+        def record(done):
+            tokens, step = done.notes
+            return tokens.features, tokens.present & (step < episode.horizon)
+
+        return simulate(problem, decide, episode, TRUE, policy_key, record)
+
+    run = jax.jit(jax.vmap(play), compiler_options=quick_compilation())
+    features, counts = (np.asarray(x) for x in run(jax.random.split(key, EPISODES)))
+    return np.quantile(features[counts], [OUTSIDE, 1 - OUTSIDE], axis=0)
