@@ -252,6 +252,22 @@ def test_with_the_window_it_can_be_that_heuristic(name):
     np.testing.assert_allclose(still, 0.0, atol=1e-9)
 
 
+def test_what_it_is_told_is_clipped_to_a_range():
+    """Far outside, as where beliefs are far wider than any of a training, it decides as at the border."""
+    problem, observation = SCENARIOS["plane"].problem(), seen(SCENARIOS["plane"], *scene(2, TARGETS, 0))
+    free = SMALL.policy(problem, KEY)
+    policy = replace(SMALL, clips_features=True).policy(problem, KEY)
+    told, unclipped = (np.asarray(each.tokens(observation).features) for each in (policy, free))
+    np.testing.assert_array_equal(told, unclipped)  # until there is a range, all is told
+    low, high = np.quantile(unclipped, [0.3, 0.7], axis=0)
+    policy = replace(policy, feature_range=jnp.asarray(np.stack([low, high])))
+    told = np.asarray(policy.tokens(observation).features)
+    np.testing.assert_array_equal(told, np.clip(unclipped, low, high))
+    assert (told != unclipped).any()
+    gradient = eqx.filter_grad(lambda policy: policy.modes(policy.tokens(observation)).action.sum())(policy)
+    assert (np.asarray(gradient.feature_range) == 0).all(), "no training moves it"
+
+
 def test_the_window_is_for_networks_without_rays_and_targets_with_ids():
     with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with rays"):
         PointerSettings(kind="pointer", dynamic_window=True, rays=8).policy(Scenario().problem(), KEY)

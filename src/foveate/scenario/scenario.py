@@ -224,12 +224,12 @@ class Scenario(Settings):
 
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)
-        H, W = self._observation(Z), own if W is None else np.asarray(W, float)
+        H, noise = self._observation(Z), own if W is None else np.asarray(W, float)
         if any(kind.sensor.coordinates for kind in self.kinds):
             # Near by there is no end to what a bearing tells.
-            return replace(LinearGaussian.of(A, B, W, Z), is_reversible=False)
+            return replace(LinearGaussian.of(A, B, noise, Z), is_reversible=False)
         noises = [kind.sensor.noise(len(H)) for kind in self.kinds] + [np.array(V) for V in self.schedule.V]
-        return LinearGaussian.of(A, B, W, Z, [H.T @ np.linalg.inv(V) @ H for V in noises])
+        return LinearGaussian.of(A, B, noise, Z, [H.T @ np.linalg.inv(V) @ H for V in noises])
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
         """Values of each step of a period; an empty list repeats the constant value."""

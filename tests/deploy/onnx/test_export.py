@@ -88,6 +88,7 @@ CASES = {
     "commands, region, one mode": Experiment(scenario=BORDERS, policy=replace(POINTER, modes=1)),
     "pointer, in space": Experiment(scenario=QUADROTOR, policy=POINTER),
     "window": Experiment(policy=replace(POINTER, dynamic_window=True)),
+    "clipped": Experiment(policy=replace(POINTER, clips_features=True)),
     "window, in space": Experiment(scenario=QUADROTOR, policy=replace(POINTER, dynamic_window=True)),
     "camera that turns": Experiment(scenario=PAN, policy=POINTER),
     "camera that turns, in space": Experiment(scenario=PAN_TILT, policy=POINTER),
