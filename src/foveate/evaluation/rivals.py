@@ -1,7 +1,7 @@
 """What a verdict compares besides the planner: the policy and every heuristic, in a team also with assigned targets."""
 
 from foveate.experiment.experiment import Experiment
-from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS
+from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS, Assignment
 from foveate.planning.named import assigned_in, heuristic_in
 from foveate.simulation.records import Policy
 
@@ -32,5 +32,5 @@ def _assigned(experiment: Experiment, policies: dict[str, Policy]) -> dict[str, 
     scenario = experiment.scenario
     if scenario.team is None or scenario.detections is not None:
         return {}
-    pairs = [(name, rule) for name in policies for rule in ASSIGNMENTS]
+    pairs: list[tuple[str, Assignment]] = [(name, rule) for name in policies for rule in ASSIGNMENTS]
     return {f"{name}+{rule}": assigned_in(scenario, policies[name], rule) for name, rule in pairs}
