@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +13,10 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.io.jax_settings import quick_compilation
 from foveate.learning.worlds import World, informed
 from foveate.policies.pointer import PointerPolicy, command
-from foveate.simulation.records import TRUE
-from foveate.simulation.rollout import simulate
-from foveate.types import Key
+from foveate.policies.tokens import Tokens
+from foveate.simulation.records import TRUE, Observation
+from foveate.simulation.rollout import Decide, simulate
+from foveate.types import Action, Count, Key
 
 EPISODES = 64
 """Episodes of each world."""
@@ -37,18 +39,21 @@ def _range(world: World, policy: PointerPolicy, key: Key) -> np.ndarray:
     def play(key: Key) -> tuple[Float[Array, "K n features"], Bool[Array, "K n"]]:
         scene_key, policy_key = jax.random.split(key)
         problem, episode = world.drawn(scene_key)
-
-        def decide(observation, memory, key):
-            tokens = policy.tokens(observation)
-            modes = policy.modes(tokens)
-            return command(observation, modes.action[jnp.argmax(modes.log_weight)]), memory, (tokens, observation.step)
-
-        def record(done):
-            tokens, step = done.notes
-            return tokens.features, tokens.present & (step < episode.horizon)
-
-        return simulate(problem, decide, episode, TRUE, policy_key, record)
+        tokens, number = simulate(problem, _noting(policy), episode, TRUE, policy_key, lambda done: done.notes)
+        return tokens.features, tokens.present & (number < episode.horizon)[:, None]
 
     run = jax.jit(jax.vmap(play), compiler_options=quick_compilation())
     features, counts = (np.asarray(x) for x in run(jax.random.split(key, EPISODES)))
     return np.quantile(features[counts], [OUTSIDE, 1 - OUTSIDE], axis=0)
+
+
+def _noting(policy: PointerPolicy) -> Decide:
+    """The policy's decisions, with its tokens and the number of the step as notes."""
+
+    def decide(observation: Observation, memory: Any, key: Key) -> tuple[Action, Any, tuple[Tokens, Count]]:
+        tokens = policy.tokens(observation)
+        modes = policy.modes(tokens)
+        action = modes.action[jnp.argmax(modes.log_weight)]
+        return command(observation, action), memory, (tokens, observation.step)
+
+    return decide
