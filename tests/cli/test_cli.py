@@ -20,7 +20,7 @@ from rich.cells import cell_len
 
 import foveate
 from foveate.cli.main import COMMANDS, main
-from foveate.evaluation import verdict
+from foveate.evaluation import rivals, verdict
 from foveate.evaluation.verdict import verdict_of
 from foveate.experiment.checkpoint import save_tree, write_config
 from foveate.experiment.experiment import Experiment
@@ -80,7 +80,7 @@ def run(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(verdict, "EPISODES", 2)
         patch.setattr(verdict, "LEAST_EPISODES", 2)
-        patch.setattr(verdict, "HEURISTICS", FEW)
+        patch.setattr(rivals, "HEURISTICS", FEW)
         patch.setattr(verdict, "planned_scores", lambda *_: "it takes too long for a test")
         assert main([*of_the_page("train", places), "--epochs", "2", "--episodes", "4"]) == 0
     return folder / "run"
@@ -459,7 +459,7 @@ def test_ppo_trains_a_run_that_evaluates(
     config.write_text(f'[training]\nalgorithm = "ppo"\n{small}')
     train = ("train", "--config", str(config))
     monkeypatch.setattr(verdict, "EPISODES", 4)
-    monkeypatch.setattr(verdict, "HEURISTICS", FEW)
+    monkeypatch.setattr(rivals, "HEURISTICS", FEW)
     monkeypatch.setattr(verdict, "planned_scores", lambda *_: "it takes too long for a test")
     assert main([*train, "--steps", "50", "--out", str(run)]) == 0
     said = capsys.readouterr().out

@@ -10,7 +10,7 @@ from helpers.commands import check_contract, failure
 from helpers.compilation import time_no_decision
 
 from foveate.cli.main import main
-from foveate.evaluation import oracle, verdict
+from foveate.evaluation import oracle, rivals
 from foveate.experiment.presets import PRESETS
 from foveate.planning.named import heuristic_policy
 from foveate.planning.shooting import PlanSettings
@@ -189,7 +189,7 @@ def test_the_suite_of_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str],
     Two heuristics stand for all, which tests/evaluation/test_verdict.py judges.
     """
     few = ("still", "nearest")
-    monkeypatch.setattr(verdict, "HEURISTICS", few)
+    monkeypatch.setattr(rivals, "HEURISTICS", few)
     folder, out, result = tmp_path / "worlds", tmp_path / "out", tmp_path / "result.json"
     folder.mkdir()
     (folder / "plain.toml").write_text(WORLD)

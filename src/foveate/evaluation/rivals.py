@@ -1,5 +1,7 @@
 """What a verdict compares besides the planner: the policy and every heuristic, in a team also with assigned targets."""
 
+from collections.abc import Sequence
+
 from foveate.experiment.experiment import Experiment
 from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS, Assignment
 from foveate.planning.named import assigned_in, heuristic_in
@@ -16,7 +18,7 @@ def compared(experiment: Experiment, policy: Policy) -> dict[str, Policy]:
 
 def policies_of(experiment: Experiment, policy: Policy) -> dict[str, Policy]:
     """The policy by the name "policy", and in a team as "policy+RULE" for every rule that assigns targets."""
-    return {"policy": policy} | _assigned(experiment, {"policy": policy})
+    return {"policy": policy} | _assigned(experiment, {"policy": policy}, ("policy",))
 
 
 def heuristics_of(experiment: Experiment) -> dict[str, Policy]:
@@ -24,13 +26,13 @@ def heuristics_of(experiment: Experiment) -> dict[str, Policy]:
     scenario = experiment.scenario
     names = HEURISTICS if scenario.detections is None else (*HEURISTICS, *SEARCHERS)
     found = {name: heuristic_in(scenario, name) for name in names}
-    return found | _assigned(experiment, {name: found[name] for name in ASSIGNED})
+    return found | _assigned(experiment, found, ASSIGNED)
 
 
-def _assigned(experiment: Experiment, policies: dict[str, Policy]) -> dict[str, Policy]:
-    """The policies with assigned targets; none without a team, and where detections have no ids."""
+def _assigned(experiment: Experiment, policies: dict[str, Policy], names: Sequence[str]) -> dict[str, Policy]:
+    """The policies of these names with assigned targets; none without a team, and where detections have no ids."""
     scenario = experiment.scenario
     if scenario.team is None or scenario.detections is not None:
         return {}
-    pairs: list[tuple[str, Assignment]] = [(name, rule) for name in policies for rule in ASSIGNMENTS]
+    pairs: list[tuple[str, Assignment]] = [(name, rule) for name in names for rule in ASSIGNMENTS]
     return {f"{name}+{rule}": assigned_in(scenario, policies[name], rule) for name, rule in pairs}
