@@ -115,7 +115,7 @@ def _card(run: Path) -> Card:
 def _ranking(verdict: Verdict) -> str:
     """The policy, the best heuristic and the planner with their scores."""
     digits = DIGITS[verdict.objective]
-    best = {row.kind: row for row in reversed(verdict.rows)}  # of each kind the first, which is the best
+    best = {row.kind: row for row in reversed(verdict.rows)}  # the first of each kind
     shown = [(kind, best[kind]) for kind in ("policy", "heuristic", "planner") if kind in best]
     notes = {
         "policy": "",

@@ -32,7 +32,7 @@ def heuristics_of(experiment: Experiment) -> dict[str, Policy]:
 def _assigned(experiment: Experiment, policies: dict[str, Policy], names: Sequence[str]) -> dict[str, Policy]:
     """The policies of these names with assigned targets; none without a team, and where detections have no ids."""
     scenario = experiment.scenario
-    if scenario.team is None or scenario.detections is not None:
+    if scenario.detections is not None or scenario.problem().team is None:
         return {}
     pairs: list[tuple[str, Assignment]] = [(name, rule) for name in names for rule in ASSIGNMENTS]
     return {f"{name}+{rule}": assigned_in(scenario, policies[name], rule) for name, rule in pairs}

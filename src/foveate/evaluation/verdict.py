@@ -51,7 +51,7 @@ class VerdictRow:
     """A method in the first `episodes` held-out episodes: mean score and its standard error.
 
     `difference` is the policy's score minus this method's, the mean over the same episodes, with its standard error;
-    None for the policy itself. In a team that has rows of its own with assigned targets, too.
+    None for the policy itself. A team's policy has a row for each rule that assigns targets, too.
     """
 
     method: str
@@ -128,11 +128,9 @@ class Verdict:
 
     def _better_assigned(self) -> VerdictRow | None:
         """The best of the policies with assigned targets, where it is clearly better than the policy alone."""
-        assigned = [row for row in self.rows if row.kind == "policy" and row.difference is not None]
-        best = min(assigned, key=lambda row: row.difference or 0.0, default=None)
-        if best is None or (best.difference or 0.0) > -CLEAR * (best.difference_se or 0.0):
-            return None
-        return best
+        leads = [(-(row.difference or 0.0), row) for row in self.rows if row.kind == "policy"]
+        clear = [(lead, row) for lead, row in leads if lead > 0 and lead >= CLEAR * (row.difference_se or 0.0)]
+        return max(clear, key=lambda each: each[0])[1] if clear else None
 
     def __repr__(self) -> str:
         return "\n".join([text(self.table), *self.sentences])

@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from foveate.errors import InputError
 from foveate.experiment.learners import ActorCriticSettings
-from foveate.io.jax_settings import quick_compilation
+from foveate.io.jax_settings import compiled
 from foveate.learning.worlds import World, informed
-from foveate.policies.pointer import PointerPolicy, command
+from foveate.models.precision import suits_quick_compilation
+from foveate.policies.pointer import NO_LIMIT, PointerPolicy, command
 from foveate.policies.tokens import Tokens
 from foveate.simulation.records import TRUE, Observation
 from foveate.simulation.rollout import Decide, simulate
@@ -28,9 +30,19 @@ OUTSIDE = 0.05
 def with_feature_range(
     worlds: Sequence[World], policy: PointerPolicy, settings: ActorCriticSettings, key: Key
 ) -> PointerPolicy:
-    """The policy, which clips each feature to the range over all worlds; the range of a world leaves out OUTSIDE."""
-    keys = jax.random.split(key, len(worlds))
-    ranges = [_range(world, informed(policy, world, settings), key) for world, key in zip(worlds, keys, strict=True)]
+    """The policy, which clips each feature to the range over all worlds; the range of a world leaves out OUTSIDE.
+
+    A range that the policy has, from a training before, is widened. In one robot's own world its limits and noises are
+    constants, and those of others are then told as these.
+
+    Raises InputError for a team, for a world without targets, and for features that are not finite.
+    """
+    if worlds[0].agents > 1:
+        raise InputError("policy.clips_features = True: expected false in a team")
+    keys, free = jax.random.split(key, len(worlds)), replace(policy, feature_range=None)
+    ranges = [_range(world, informed(free, world, settings), key) for world, key in zip(worlds, keys, strict=True)]
+    if policy.feature_range is not None and not np.any(np.abs(policy.feature_range) == NO_LIMIT):
+        ranges.append(np.asarray(policy.feature_range))
     low, high = np.min([low for low, _ in ranges], axis=0), np.max([high for _, high in ranges], axis=0)
     return replace(policy, feature_range=jnp.asarray(np.stack([low, high]), float))
 
@@ -42,9 +54,13 @@ def _range(world: World, policy: PointerPolicy, key: Key) -> np.ndarray:
         tokens, number = simulate(problem, _noting(policy), episode, TRUE, policy_key, lambda done: done.notes)
         return tokens.features, tokens.present & (number < episode.horizon)[:, None]
 
-    run = jax.jit(jax.vmap(play), compiler_options=quick_compilation())
+    run = compiled(jax.vmap(play), suits_quick_compilation(world.problem))
     features, counts = (np.asarray(x) for x in run(jax.random.split(key, EPISODES)))
-    return np.quantile(features[counts], [OUTSIDE, 1 - OUTSIDE], axis=0)
+    told = features[counts]
+    if not told.size or not np.isfinite(told).all():
+        what = "a number that is not finite" if told.size else "no target"
+        raise InputError(f"policy.clips_features = True: expected false: there is {what} in {EPISODES} episodes")
+    return np.quantile(told, [OUTSIDE, 1 - OUTSIDE], axis=0)
 
 
 def _noting(policy: PointerPolicy) -> Decide:

@@ -56,9 +56,9 @@ def train(
     policy = first_policy(experiment, policy_key)
     if not resume and isinstance(policy, PointerPolicy) and not experiment.begins_with:
         policy = best_preference(policy, lambda policy: score_of(policy, episodes, validation_key)[0])
-        if policy.feature_range is not None:
-            assert isinstance(training, ActorCriticSettings), "no other learner trains pointer networks"
-            policy = with_feature_range(worlds_of(experiment), policy, training, jax.random.fold_in(policy_key, 2))
+    if not resume and isinstance(policy, PointerPolicy) and policy.feature_range is not None:
+        assert isinstance(training, ActorCriticSettings), "no other learner trains pointer networks"
+        policy = with_feature_range(worlds_of(experiment), policy, training, jax.random.fold_in(policy_key, 2))
     begun = Progress.of(_begin(experiment, policy, policy_key))
     files, progress, elapsed = (resume_run if resume else start_run)(out, experiment, seed, begun)
     advance = advance_of(experiment)

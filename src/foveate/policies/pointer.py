@@ -86,7 +86,7 @@ class PointerSettings(Settings):
     without ids."""
 
     clips_features: bool = False
-    """Clips what it is told to the range met before training: so familiar numbers decide in unfamiliar worlds, too."""
+    """Clips what it is told to the range of its worlds: familiar numbers decide in others, too. Not for teams."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -226,8 +226,7 @@ class Scenario(Settings):
         A, B, own, Z = self.target.motion(self.dimension, tau_s)
         H, noise = self._observation(Z), own if W is None else np.asarray(W, float)
         if any(kind.sensor.coordinates for kind in self.kinds):
-            # Near by there is no end to what a bearing tells.
-            return replace(LinearGaussian.of(A, B, noise, Z), is_reversible=False)
+            return LinearGaussian.of(A, B, noise, Z, None)
         noises = [kind.sensor.noise(len(H)) for kind in self.kinds] + [np.array(V) for V in self.schedule.V]
         return LinearGaussian.of(A, B, noise, Z, [H.T @ np.linalg.inv(V) @ H for V in noises])
 

@@ -91,7 +91,8 @@ def _added(
     gain, weight, points_body = _looks(problem, future, action, level)
     added, counts = weight[..., None, None] * gain, _counts(future, action)
     if problem.sensor.polar is not None:
-        added = jnp.where(_is_taken(problem, future, added, points_body)[..., None, None], added, 0.0)
+        is_taken = _is_taken(problem, future, gain, weight, points_body)
+        added = jnp.where(is_taken[..., None, None], added, 0.0)
     if future.mates is not None:
         added += future.mates
     return jnp.where(counts[:, None, None, None], added, 0.0), counts
@@ -102,24 +103,30 @@ def _counts(future: Future, action: Float[Array, "K m"]) -> Bool[Array, " K"]:
 
 
 def _is_taken(
-    problem: Problem, future: Future, added: Float[Array, "K n n_y n_y"], points_body: Float[Array, "K n d"]
+    problem: Problem,
+    future: Future,
+    gain: Float[Array, "K n n_y n_y"],
+    weight: Float[Array, "K n"],
+    points_body: Float[Array, "K n d"],
 ) -> Bool[Array, "K n"]:
-    """Whether the filter of a `polar` sensor would take each measurement (`models.polar_filter`).
+    """Whether the filter of a `polar` sensor would take each measurement, by its rule (`models.polar_filter`).
 
     Point-blank it does not, where the information of a bearing is all but infinite.
     """
     motion, most = problem.motion, MAX_STD_PER_RANGE**2 * jnp.sum(points_body**2, axis=-1)
 
     def step(P, x):
-        added, most = x
+        gain, weight, most = x
         P = P if future.mates is None else P + future.mates
-        Y = P + added
-        covariance = multiply(multiply(motion.Z, inverse_spd(Y)), motion.Z.T)
-        is_taken = jnp.trace(covariance, axis1=-2, axis2=-1) <= most
-        Y = jnp.where(is_taken[:, None, None], Y, P)
+        whole = P + gain
+        covariance = multiply(multiply(motion.Z, inverse_spd(whole)), motion.Z.T)
+        is_precise = jnp.trace(covariance, axis1=-2, axis2=-1) <= most
+        # Rounding may leave no definite sum, whose trace may be anything.
+        is_taken = is_precise & jnp.isfinite(log_det_spd(whole))
+        Y = P + jnp.where(is_taken, weight, 0.0)[:, None, None] * gain
         return jax.vmap(lambda information: belief.predict_information(information, motion))(Y), is_taken
 
-    return jax.lax.scan(step, *jax.lax.stop_gradient((future.information, (added, most))))[1]
+    return jax.lax.scan(step, *jax.lax.stop_gradient((future.information, (gain, weight, most))))[1]
 
 
 def _looks(

@@ -84,7 +84,7 @@ def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance
     return Problem(
         agent=agent,
         sensor=Sensor(H=_array(H), V=_array(V), view=_view_of(sensor, agent), polar=polar),
-        motion=LinearGaussian.of(A, B, W, np.eye(d, n_y)),
+        motion=LinearGaussian.of(A, B, W, np.eye(d, n_y), None if polar else [H.T @ np.linalg.inv(V) @ H]),
         tau=_array(tau_s),
         prior_information=_array(np.linalg.inv(np.asarray(prior_covariance, float)[block])),
     )
