@@ -143,9 +143,7 @@ def first_policy(experiment: Experiment, key: Key) -> Policy:
     arrays, static = eqx.partition(policy, eqx.is_array)
     weights = jax.tree.leaves(eqx.filter(load(experiment.begins_with)[1], eqx.is_array))
     fits = [x.shape for x in weights] == [x.shape for x in jax.tree.leaves(arrays)]
-    right = (
-        "expected a run of the scenario's space and team, with the sizes and switches of policy (clips_features, ..)"
-    )
+    right = "expected a run of the scenario's space and team, with the sizes and clips_features of policy"
     require(fits, "policy.begin_with", experiment.begins_with, right)
     return eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), weights), static)
 
