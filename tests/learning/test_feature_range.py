@@ -4,9 +4,11 @@ from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from foveate.errors import InputError
 from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import PRESETS
@@ -18,6 +20,7 @@ from foveate.policies.pointer import PointerPolicy, PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.target import VelocityTarget
+from foveate.scenario.team import TeamSettings
 from foveate.simulation.records import TRUE, Policy
 from foveate.simulation.rollout import rollout
 
@@ -72,6 +75,18 @@ def test_the_range_is_that_of_most_features_in_each_world(monkeypatch):
     np.testing.assert_allclose(low, np.minimum(found[0][0], found[1][0]), atol=1e-5)
     np.testing.assert_allclose(high, np.maximum(found[0][1], found[1][1]), atol=1e-5)
     assert (high - low).max() > 1.0
+    begun = replace(policy, feature_range=jnp.stack([low - 1.0, high - 1.0]))  # of a training before
+    wider = np.asarray(with_feature_range(both, begun, TRAINING, key).feature_range)
+    np.testing.assert_allclose(wider, [low - 1.0, high], atol=1e-5)
+
+
+def test_a_team_clips_nothing():
+    """What is told of mates is not met by the robots that are played alone."""
+    team = Scenario(team=TeamSettings(agents=2), scenes=FEW)
+    experiment = Experiment(scenario=team, policy=SMALL, training=replace(TRAINING, worlds="own"))
+    policy = experiment.new_policy(jax.random.key(0))
+    with pytest.raises(InputError, match=r"policy.clips_features = True: expected false in a team"):
+        with_feature_range(worlds_of(experiment), policy, experiment.training, jax.random.key(1))
 
 
 @pytest.mark.slow
