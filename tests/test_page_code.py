@@ -19,8 +19,8 @@ from foveate.cli.main import main
 from foveate.evaluation.verdict import verdict_of, write_verdict
 from foveate.experiment.checkpoint import load_run, save_tree, write_config
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.first_policy import first_policy
 from foveate.experiment.presets import PRESETS
-from foveate.experiment.resolve import first_policy
 from foveate.experiment.run_folder import BEST, Outcome
 from foveate.io.records import from_table
 from foveate.recordings.formats import load_recording

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import ACTOR_CRITIC, PAN, PRESETS, QUADROTOR, for_scenario
-from foveate.experiment.resolve import first_policy, in_scenario, subject_of
+from foveate.experiment.resolve import in_scenario, subject_of
 from foveate.io.toml import save_toml
 from foveate.policies.pointer import PointerSettings
 from foveate.scenario.scenario import Scenario
@@ -72,20 +71,6 @@ def test_a_name_at_a_file_is_the_policy_in_its_scenario(tmp_path):
 def test_an_evaluation_in_another_scenario_tells_the_policy_so():
     network = subject_of(made(FOR_ANY), LONG).network()
     assert (network.objective, network.tells_time) == ("mean", False)
-
-
-def test_a_training_begins_with_the_weights_of_a_run(tmp_path):
-    given = made(FOR_ANY, seed=7)
-    given.save(tmp_path / "run")
-    begins = replace(FOR_ANY, scenario=LONG, policy=replace(SMALL, begin_with=str(tmp_path / "run")))
-    policy = first_policy(replace(begins, training=replace(ACTOR_CRITIC, objective="mean")), jax.random.key(0))
-    assert (policy.objective, policy.tells_time) == ("mean", False)
-    found, expected = (jax.tree.leaves(eqx.filter(x, eqx.is_array)) for x in (policy, given.network))
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one, other)
-    wider = replace(begins, policy=replace(begins.policy, target_widths=(9,)))
-    with pytest.raises(InputError, match=r"policy.begin_with = .*expected a run of the scenario.s space"):
-        first_policy(wider, jax.random.key(0))
 
 
 def test_a_scenario_is_trained_like_any_from_its_weights():

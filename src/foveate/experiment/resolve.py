@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import equinox as eqx
-import jax
 from jaxtyping import Array, Float
 
 from foveate.errors import InputError
@@ -17,7 +15,6 @@ from foveate.experiment.presets import PRESETS
 from foveate.experiment.run_folder import CONFIG
 from foveate.io.progress import logger
 from foveate.io.toml import load_toml
-from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS, Assignment, InitialError, Objective
 from foveate.planning.named import assigned_in, heuristic_in
@@ -27,7 +24,6 @@ from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, checked, read_scenes
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import own_suite, table1
-from foveate.types import Key
 
 TRAINED = Path(__file__).parent / "trained"
 """Folder of the presets' run folders, made by experiments/trained_presets.py."""
@@ -133,19 +129,6 @@ def told(policy: Policy, experiment: Experiment) -> Policy:
     network = experiment.network
     assert isinstance(network, PointerSettings), "of the same kind as its settings"
     return replace(policy, objective=experiment.training.objective, tells_time=network.tells_time is not False)
-
-
-def first_policy(experiment: Experiment, key: Key) -> Policy:
-    """The policy that a training begins with. Raises InputError if the run of its first weights has another network."""
-    policy = experiment.new_policy(key)
-    if experiment.begins_with is None:
-        return policy
-    arrays, static = eqx.partition(policy, eqx.is_array)
-    weights = jax.tree.leaves(eqx.filter(load(experiment.begins_with)[1], eqx.is_array))
-    fits = [x.shape for x in weights] == [x.shape for x in jax.tree.leaves(arrays)]
-    right = "expected a run of the scenario's space and team, with the sizes and clips_features of policy"
-    require(fits, "policy.begin_with", experiment.begins_with, right)
-    return eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), weights), static)
 
 
 def experiment_of(run: Name) -> Experiment:

@@ -41,8 +41,9 @@ def with_feature_range(
         raise InputError("policy.clips_features = True: expected false in a team")
     keys, free = jax.random.split(key, len(worlds)), replace(policy, feature_range=None)
     ranges = [_range(world, informed(free, world, settings), key) for world, key in zip(worlds, keys, strict=True)]
-    if policy.feature_range is not None and not np.any(np.abs(policy.feature_range) == NO_LIMIT):
-        ranges.append(np.asarray(policy.feature_range))
+    if policy.feature_range is not None:  # features without a range yet have that of these worlds
+        low, high = np.asarray(policy.feature_range)
+        ranges.append((np.where(low == -NO_LIMIT, np.inf, low), np.where(high == NO_LIMIT, -np.inf, high)))
     low, high = np.min([low for low, _ in ranges], axis=0), np.max([high for _, high in ranges], axis=0)
     return replace(policy, feature_range=jnp.asarray(np.stack([low, high]), float))
 

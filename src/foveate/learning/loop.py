@@ -9,8 +9,8 @@ import jax.numpy as jnp
 
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
+from foveate.experiment.first_policy import first_policy
 from foveate.experiment.learners import ActorCriticSettings, PPOSettings, TrainingSettings
-from foveate.experiment.resolve import first_policy
 from foveate.experiment.run_folder import Outcome, Validation
 from foveate.io.jax_settings import compiled, quick_compilation
 from foveate.learning import actor_critic, policy_gradient

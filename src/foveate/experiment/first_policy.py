@@ -1,0 +1,63 @@
+"""The policy that a training begins with: random weights, or those of a run or a preset."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from foveate.experiment.experiment import Experiment
+from foveate.experiment.resolve import load
+from foveate.io.validate import require
+from foveate.policies.pointer import NO_LIMIT, PointerPolicy
+from foveate.policies.tokens import WINDOW_FEATURES
+from foveate.simulation.records import Policy
+from foveate.types import Key
+
+
+def first_policy(experiment: Experiment, key: Key) -> Policy:
+    """The policy that a training begins with. Raises InputError if the run of its first weights has another network.
+
+    A network with the dynamic window may begin with the weights of one without it.
+    """
+    policy = experiment.new_policy(key)
+    if experiment.begins_with is None:
+        return policy
+    given, (arrays, static) = load(experiment.begins_with)[1], eqx.partition(policy, eqx.is_array)
+    if isinstance(given, PointerPolicy) and isinstance(policy, PointerPolicy):
+        given = with_window(given, policy)
+    weights = jax.tree.leaves(eqx.filter(given, eqx.is_array))
+    fits = [x.shape for x in weights] == [x.shape for x in jax.tree.leaves(arrays)]
+    right = "expected a run of the scenario's space and team, with the sizes and clips_features of policy"
+    require(fits, "policy.begin_with", experiment.begins_with, right)
+    return eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), weights), static)
+
+
+def with_window(policy: PointerPolicy, new: PointerPolicy) -> PointerPolicy:
+    """The weights of a network without the dynamic window, with those that `new` has for it; itself where `new` has none.
+
+    What the window expects counts nothing at first, and its command has the weight of one that does not aim.
+    """
+    if new.window_log_weight is None or policy.window_log_weight is not None:
+        return policy
+    first, idle, size = policy.encoder.target_layers[0], policy.idle_layer, len(policy.idle_layer.weight)
+
+    def behind(old: Array, more: Array) -> Array:
+        return jnp.concatenate([old, more[size:]])
+
+    unused: Float[Array, "width features"] = jnp.zeros((len(first.weight), WINDOW_FEATURES), first.weight.dtype)
+    policy = eqx.tree_at(
+        lambda each: (each.encoder.target_layers[0].weight, each.idle_layer.weight, each.idle_layer.bias),
+        policy,
+        (
+            jnp.concatenate([unused, first.weight], axis=1),
+            behind(idle.weight, new.idle_layer.weight),
+            behind(idle.bias, new.idle_layer.bias),
+        ),
+    )
+    limits = policy.feature_range
+    if limits is not None:
+        free = jnp.array([[-NO_LIMIT], [NO_LIMIT]], limits.dtype) + jnp.zeros(WINDOW_FEATURES, limits.dtype)
+        limits = jnp.concatenate([free, limits], axis=1)
+    return replace(policy, window_log_weight=new.window_log_weight, feature_range=limits)
