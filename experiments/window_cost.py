@@ -15,7 +15,7 @@ from foveate.deploy.onnx.export import to_onnx
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import QUADROTOR
 from foveate.planning.named import heuristic_in
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE, Policy

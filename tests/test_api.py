@@ -28,7 +28,7 @@ from foveate.experiment.run_folder import Outcome, Validation
 from foveate.io.toml import load_toml
 from foveate.learning import train as learner
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenes import SceneSettings, write_scenes
 from foveate.scenario.target import DriftTarget

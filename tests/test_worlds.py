@@ -16,7 +16,7 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import PRESETS
 from foveate.io.toml import load_toml
 from foveate.planning.named import heuristic_policy
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
 from foveate.simulation.rollout import rollout

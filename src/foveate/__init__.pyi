@@ -44,7 +44,7 @@ from foveate.plotting.simulated import SimulatedEpisode as SimulatedEpisode
 from foveate.policies.attention import AttentionSettings as AttentionSettings
 from foveate.policies.heuristics import Steering as Steering
 from foveate.policies.keep_off import KeepOff as KeepOff
-from foveate.policies.pointer import PointerSettings as PointerSettings
+from foveate.policies.pointer_settings import PointerSettings as PointerSettings
 from foveate.recordings.fit import Fitted as Fitted
 from foveate.recordings.formats import load_recording as load_recording
 from foveate.recordings.recording import Recording as Recording

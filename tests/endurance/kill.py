@@ -29,7 +29,7 @@ from foveate.io.files import is_temporary
 from foveate.io.npz import load_arrays
 from foveate.io.toml import dumps_toml
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 

@@ -15,7 +15,7 @@ from foveate.learning.validation import held_out_episodes
 from foveate.planning.named import heuristic_policy
 from foveate.planning.receding import Receding
 from foveate.planning.shooting import PlanSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings

@@ -14,7 +14,8 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.first_policy import first_policy
 from foveate.experiment.presets import ACTOR_CRITIC, PAN
 from foveate.models.robot import Robot
-from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
+from foveate.policies.pointer import PADDING_LOG_WEIGHT
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE, observe

@@ -11,7 +11,7 @@ from foveate.experiment.presets import PPO, PRESETS
 from foveate.io.toml import load_toml
 from foveate.learning.loop import train
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 

@@ -13,7 +13,7 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import ACTOR_CRITIC, PAN, PRESETS, QUADROTOR, for_scenario
 from foveate.experiment.resolve import in_scenario, subject_of
 from foveate.io.toml import save_toml
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 

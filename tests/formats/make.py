@@ -27,7 +27,7 @@ from foveate.learning.train import train
 from foveate.models.robot import Robot
 from foveate.planning.named import heuristic_policy
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.recordings.formats import load_recording
 from foveate.recordings.replay import VERSION, drive, prepare_replay, result
 from foveate.scenario.scenario import Scenario

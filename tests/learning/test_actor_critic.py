@@ -25,7 +25,8 @@ from foveate.learning.trajectories import advantages, log_density, play, rewards
 from foveate.learning.validation import held_out_episodes, validate
 from foveate.learning.worlds import World, worlds_of
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import Modes, PointerSettings
+from foveate.policies.pointer import Modes
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.simulation.episodes import training_episode

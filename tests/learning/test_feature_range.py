@@ -16,7 +16,8 @@ from foveate.learning import feature_range, worlds
 from foveate.learning.feature_range import with_feature_range
 from foveate.learning.loop import train
 from foveate.learning.worlds import informed, worlds_of
-from foveate.policies.pointer import PointerPolicy, PointerSettings
+from foveate.policies.pointer import PointerPolicy
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.target import VelocityTarget

@@ -18,7 +18,7 @@ from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
 from foveate.learning.windows import cut
 from foveate.names import HEURISTICS, SEARCHERS
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 
 SMALL = replace(
     HALL, scenes=replace(HALL.scenes, steps=4), detections=replace(HALL.detections, cells=(4, 4), undetected=0.5)

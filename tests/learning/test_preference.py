@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from foveate.learning.preference import PREFERENCES, best_preference
-from foveate.policies.pointer import PREFERENCE, PointerSettings
+from foveate.policies.pointer import PREFERENCE
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 
 POLICY = PointerSettings(kind="pointer").policy(Scenario().problem(), jax.random.key(0))

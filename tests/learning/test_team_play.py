@@ -19,7 +19,7 @@ from foveate.learning.trajectories import log_density
 from foveate.learning.windows import cut
 from foveate.learning.worlds import worlds_of
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import TriangleView
 from foveate.scenario.kinds import RobotSettings

@@ -14,7 +14,8 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.learning.trajectories import Trajectory, advantages, log_density, play, rewards
 from foveate.learning.windows import Ongoing, begin_ongoing, continued, cut, plays_whole, window_steps
 from foveate.learning.worlds import World
-from foveate.policies.pointer import Modes, PointerSettings
+from foveate.policies.pointer import Modes
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings

@@ -13,7 +13,7 @@ from foveate.learning import actor_critic, worlds
 from foveate.learning.loop import advance_of
 from foveate.learning.validation import held_out_episodes, validate
 from foveate.learning.worlds import RANDOM, informed, most_targets, worlds_of
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.target import VelocityTarget

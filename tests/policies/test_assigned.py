@@ -62,7 +62,7 @@ def assigned(observed, rule, observation=None):
     """The targets of each robot at the first decision, and the policy with its memories."""
     policy = assigned_in(SCENARIO, heuristic_in(SCENARIO, "nearest"), rule)
     memory = jax.jit(jax.vmap(policy.start))(observed[1] if observation is None else observation)
-    return np.asarray(memory.targets), policy, memory
+    return np.asarray(memory.share.targets), policy, memory
 
 
 def test_hungarian_equals_scipy_on_the_price_of_every_robot(observed):
@@ -94,7 +94,7 @@ def test_the_policy_in_an_auction_is_told_who_has_which_target_and_no_bids(obser
     for m in range(M):
         assert set(np.unique(memory.own[m])) == {0.0, 1.0}
         np.testing.assert_array_equal(memory.own[m].sum(axis=0), np.ones(N))
-        np.testing.assert_array_equal(memory.own[m][m], memory.targets[m])
+        np.testing.assert_array_equal(memory.own[m][m], memory.share.targets[m])
 
 
 def test_a_robot_without_a_target_claims_none_and_is_shown_all(observed):
@@ -153,7 +153,7 @@ def test_a_robot_keeps_its_target_for_a_while(observed):
     seen = observed[1]
     targets, policy, memory = assigned(observed, "auction")
     after = jax.jit(jax.vmap(lambda *each: policy(*each)[1]))(seen, memory, jax.random.split(jax.random.key(0), M))
-    np.testing.assert_allclose(after.bids - memory.bids, KEEP_NATS * targets, atol=1e-9)
+    np.testing.assert_allclose(after.share.bids - memory.share.bids, KEEP_NATS * targets, atol=1e-9)
 
 
 def test_names_of_methods():

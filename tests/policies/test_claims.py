@@ -14,7 +14,7 @@ from foveate.evaluation.held_out import held_out, policy_scores
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.planning.named import assigned_in, heuristic_in
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.team import RadioSettings, TeamSettings

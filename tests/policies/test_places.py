@@ -13,7 +13,7 @@ from foveate.errors import InputError
 from foveate.models.robot import Robot
 from foveate.policies.lookahead import LookAhead
 from foveate.policies.places import PLACES, token_count, with_places
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.tokens import SEARCH_FEATURES, token_size, tokens_of
 from foveate.scenario.team import TeamSettings
 from foveate.simulation.team.records import TeamView

@@ -12,7 +12,8 @@ from scipy.special import softmax
 
 from foveate.errors import InputError
 from foveate.models.robot import Robot
-from foveate.policies.pointer import PADDING_LOG_WEIGHT, PointerSettings
+from foveate.policies.pointer import PADDING_LOG_WEIGHT
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.steering import steer
 from foveate.policies.window import NETWORK_VALUES, DynamicWindow
 from foveate.scenario.detections import DetectionSettings

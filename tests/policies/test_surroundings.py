@@ -13,7 +13,7 @@ from helpers.observations import seen
 from foveate.geometry.sight import fan
 from foveate.models.robot import Surroundings
 from foveate.policies.detour import steer_to
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.surroundings import RANGE_DEPTHS, surroundings
 from foveate.policies.tokens import token_size, tokens_of
 from foveate.scenario.field_of_view import SectorView

@@ -9,7 +9,7 @@ from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import OBJECTIVES
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.scenario import Scenario
 from foveate.simulation.records import Policy
 from foveate.types import Key

@@ -35,25 +35,22 @@ def first_policy(experiment: Experiment, key: Key) -> Policy:
 
 
 def with_window(policy: PointerPolicy, new: PointerPolicy) -> PointerPolicy:
-    """The weights of a network without the dynamic window, with those that `new` has for it; itself where `new` has none.
+    """The weights of a network without the dynamic window, with those of `new` for it; itself where `new` has none.
 
     What the window expects counts nothing at first, and its command has the weight of one that does not aim.
     """
     if new.window_log_weight is None or policy.window_log_weight is not None:
         return policy
-    first, idle, size = policy.encoder.target_layers[0], policy.idle_layer, len(policy.idle_layer.weight)
-
-    def behind(old: Array, more: Array) -> Array:
-        return jnp.concatenate([old, more[size:]])
+    first, size = policy.encoder.target_layers[0], len(policy.idle_layer.weight)
+    idle = [jax.tree.leaves(each.idle_layer) for each in (policy, new)]  # weight and bias
 
     unused: Float[Array, "width features"] = jnp.zeros((len(first.weight), WINDOW_FEATURES), first.weight.dtype)
     policy = eqx.tree_at(
-        lambda each: (each.encoder.target_layers[0].weight, each.idle_layer.weight, each.idle_layer.bias),
+        lambda each: (each.encoder.target_layers[0].weight, *jax.tree.leaves(each.idle_layer)),
         policy,
         (
             jnp.concatenate([unused, first.weight], axis=1),
-            behind(idle.weight, new.idle_layer.weight),
-            behind(idle.bias, new.idle_layer.bias),
+            *(jnp.concatenate([old, more[size:]]) for old, more in zip(*idle, strict=True)),
         ),
     )
     limits = policy.feature_range

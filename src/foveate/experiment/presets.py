@@ -7,7 +7,7 @@ from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
 from foveate.scenario.field_of_view import ConeView, FrustumView, SectorView
 from foveate.scenario.random_obstacles import ForestObstacles, RoomObstacles
@@ -180,12 +180,14 @@ LEARNERS = {"policy-gradient": TrainingSettings(), "actor-critic": ACTOR_CRITIC,
 def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
     """Return an experiment of a scenario with a preset's network and learner, their lengths scaled with the view.
 
-    With "any" a training begins with the weights of that preset.
+    With "any" a training begins with the weights of that preset, in a team with assigned targets.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
     if preset == "any":
-        return Experiment(scenario=scenario, policy=replace(ANY, begin_with="any"), training=FINE_TUNING)
+        rule = None if scenario.team is None else "auction"
+        policy = replace(ANY, begin_with="any", assignment=rule)
+        return Experiment(scenario=scenario, policy=policy, training=FINE_TUNING)
     base = PRESETS[preset]
     scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)
     policy, training = base.policy, base.training

@@ -18,7 +18,8 @@ from foveate.io.toml import load_toml
 from foveate.models.problem import Problem
 from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS, Assignment, InitialError, Objective
 from foveate.planning.named import assigned_in, heuristic_in
-from foveate.policies.pointer import PointerPolicy, PointerSettings
+from foveate.policies.pointer import PointerPolicy
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.tokens import token_size
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import Scene, checked, read_scenes

@@ -36,7 +36,6 @@ from foveate.learning.windows import (
 )
 from foveate.learning.worlds import World, informed, most_targets
 from foveate.policies.pointer import Modes, PointerPolicy
-from foveate.policies.tokens import token_size
 from foveate.simulation.records import Policy
 from foveate.simulation.team.step import TeamState
 from foveate.types import Count, Key, Scalar
@@ -56,9 +55,7 @@ def begin(worlds: Sequence[World], policy: Policy, settings: ActorCriticSettings
         least = SHARDS * settings.minibatches
         raise InputError(f"training.episodes = {settings.episodes}: expected episodes of {least} decisions in all")
     network_key, ongoing_key = jax.random.split(key)
-    critic = new_critic(
-        token_size(worlds[0].problem, policy.rays, policy.window_log_weight is not None), network_key, len(worlds)
-    )
+    critic = new_critic(policy.encoder.target_layers[0].weight.shape[1], network_key, len(worlds))
     parameters = eqx.filter((policy, critic), eqx.is_inexact_array)
     keys = [ongoing_key] if len(worlds) == 1 else jax.random.split(ongoing_key, len(worlds))
     ongoing = tuple(begin_ongoing(world, settings, key) for world, key in zip(worlds, keys, strict=True))

@@ -14,10 +14,13 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.io.jax_settings import compiled
 from foveate.learning.worlds import World, informed
 from foveate.models.precision import suits_quick_compilation
+from foveate.policies.assigned_pointer import AssignedPointer
 from foveate.policies.pointer import NO_LIMIT, PointerPolicy, command
 from foveate.policies.tokens import Tokens
 from foveate.simulation.records import TRUE, Observation
 from foveate.simulation.rollout import Decide, simulate
+from foveate.simulation.team import rollout as team
+from foveate.simulation.team.rollout import TeamDecide
 from foveate.types import Action, Count, Key
 
 EPISODES = 64
@@ -35,25 +38,33 @@ def with_feature_range(
     A range that the policy has, from a training before, is widened. In one robot's own world its limits and noises are
     constants, and those of others are then told as these.
 
-    Raises InputError for a team, for a world without targets, and for features that are not finite.
+    Raises InputError for a team without an assignment, for a world without targets, and for features that are not
+    finite.
     """
-    if worlds[0].agents > 1:
-        raise InputError("policy.clips_features = True: expected false in a team")
+    if worlds[0].problem.team is not None and not isinstance(policy, AssignedPointer):
+        raise InputError("policy.clips_features = True: expected false in a team, or a policy.assignment")
     keys, free = jax.random.split(key, len(worlds)), replace(policy, feature_range=None)
     ranges = [_range(world, informed(free, world, settings), key) for world, key in zip(worlds, keys, strict=True)]
     if policy.feature_range is not None:  # features without a range yet have that of these worlds
         low, high = np.asarray(policy.feature_range)
-        ranges.append((np.where(low == -NO_LIMIT, np.inf, low), np.where(high == NO_LIMIT, -np.inf, high)))
+        ranges.append(np.stack([np.where(low == -NO_LIMIT, np.inf, low), np.where(high == NO_LIMIT, -np.inf, high)]))
     low, high = np.min([low for low, _ in ranges], axis=0), np.max([high for _, high in ranges], axis=0)
     return replace(policy, feature_range=jnp.asarray(np.stack([low, high]), float))
 
 
 def _range(world: World, policy: PointerPolicy, key: Key) -> np.ndarray:
-    def play(key: Key) -> tuple[Float[Array, "K n features"], Bool[Array, "K n"]]:
+    def play(key: Key) -> tuple[Float[Array, "K *M n features"], Bool[Array, "K *M n"]]:
         scene_key, policy_key = jax.random.split(key)
         problem, episode = world.drawn(scene_key)
-        tokens, number = simulate(problem, _noting(policy), episode, TRUE, policy_key, lambda done: done.notes)
-        return tokens.features, tokens.present & (number < episode.horizon)[:, None]
+        if episode.team is None:
+            notes = simulate(problem, _noting(policy), episode, TRUE, policy_key, lambda done: done.notes)
+        else:
+            memory = jax.vmap(policy.start)(team.first_observations(problem, episode, TRUE))
+            what = problem, _noting_in_team(policy), episode, TRUE, policy_key, lambda done: done.notes
+            notes = team.simulate(*what, memory=memory)[1]
+        tokens, number = notes
+        counts = tokens.present & (number < episode.horizon)[..., None]
+        return tokens.features, counts
 
     run = compiled(jax.vmap(play), suits_quick_compilation(world.problem))
     features, counts = (np.asarray(x) for x in run(jax.random.split(key, EPISODES)))
@@ -64,13 +75,26 @@ def _range(world: World, policy: PointerPolicy, key: Key) -> np.ndarray:
     return np.quantile(told, [OUTSIDE, 1 - OUTSIDE], axis=0)
 
 
-def _noting(policy: PointerPolicy) -> Decide:
+def _noting_in_team(policy: PointerPolicy) -> TeamDecide:
     """The policy's decisions, with its tokens and the number of the step as notes."""
 
-    def decide(observation: Observation, memory: Any, key: Key) -> tuple[Action, Any, tuple[Tokens, Count]]:
-        tokens = policy.tokens(observation)
+    def decide(observation: Observation, memory: Any, key: Key) -> tuple[Action, Array, Any, tuple[Tokens, Count]]:
+        seen, memory = policy.shown(observation, memory)
+        tokens = policy.tokens(seen)
         modes = policy.modes(tokens)
-        action = modes.action[jnp.argmax(modes.log_weight)]
-        return command(observation, action), memory, (tokens, observation.step)
+        mode = jnp.argmax(modes.log_weight)
+        memory = policy.claimed(seen, memory, mode)
+        return command(seen, modes.action[mode]), policy.claims(seen, memory), memory, (tokens, seen.step)
 
     return decide
+
+
+def _noting(policy: PointerPolicy) -> Decide:
+    """The same of a single robot."""
+    decide = _noting_in_team(policy)
+
+    def alone(observation: Observation, memory: Any, key: Key) -> tuple[Action, Any, tuple[Tokens, Count]]:
+        action, _, memory, notes = decide(observation, memory, key)
+        return action, memory, notes
+
+    return alone

@@ -1,21 +1,26 @@
-"""Trajectories of a team: one for each robot, of its own decisions, all with the team's reward.
+"""Trajectories of a team: one for each robot, of its own decisions.
 
-The critic is told the tokens of all robots, as of one set: it sees what no robot of a lossy radio does. It is discarded
-after training, so that each robot decides alone (Lowe 2017; Yu 2022, "MAPPO").
+All have the team's reward, and the critic is told the tokens of all robots, as of one set: it sees what no robot of a
+lossy radio does. It is discarded after training, so that each robot decides alone (Lowe 2017; Yu 2022, "MAPPO").
+
+Robots with assigned targets are trained as single ones: each has the reward of its own targets, and its critic is told
+of these. So a robot is not rewarded for what the others do, which drowns its own part in a large team.
 """
 
 from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from foveate.experiment.learners import Objective
 from foveate.geometry.linalg import log_det_spd
 from foveate.learning.trajectories import Trajectory, rewards, sampled
 from foveate.models.problem import Problem
+from foveate.policies.assigned_pointer import AssignedPointer
 from foveate.policies.pointer import PointerPolicy, command
 from foveate.policies.tokens import Tokens
-from foveate.simulation.records import Episode, Protocol, State, per_target
+from foveate.simulation.records import Episode, Observation, Protocol, State, per_target
 from foveate.simulation.scans import expected
 from foveate.simulation.team import step
 from foveate.simulation.team.rollout import TeamOutcome, simulate
@@ -38,12 +43,16 @@ def play_team(
 ) -> tuple[Trajectory, TeamState]:
     """Play as `trajectories.play`; the trajectory has a leading axis of robots."""
     assert episode.truth is not None, "training episodes are noisy"
+    assert problem.team is not None, "of a team's problems"
+    assigns = isinstance(policy, AssignedPointer)
     following, first_step = episode.inputs[-1], state.robots.step[0]
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
 
     def decide(observation, memory, key):
-        mode, sample = sampled(policy, observation, action_std, key)
-        return command(observation, sample.action), policy.claimed(observation, mode), memory, sample
+        seen, memory = policy.shown(observation, memory)
+        mode, sample = sampled(policy, seen, action_std, key)
+        memory = policy.claimed(seen, memory, mode)
+        return command(seen, sample.action), policy.claims(seen, memory), memory, (sample, seen.present, memory)
 
     def record(done: TeamOutcome):
         central = done.state.central
@@ -51,25 +60,60 @@ def play_team(
         log_det = jnp.mean(log_det_spd(central.information), axis=0)
         return done.notes, log_det, jnp.any(done.drafts.measured, axis=0), gospa
 
-    last, (sample, log_det, visible, gospa) = simulate(problem, decide, episode, protocol, key, record, state=state)
-    problem = problem.of_map(episode.map_number)
-    predicted = step.predict(problem, last, following)
-    after = jax.vmap(policy.tokens)(step.observations(problem, last, predicted, following, episode.horizon))
-    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
-    first = per_target(jnp.mean(log_det_spd(state.central.information), axis=0), episode.present)
-    if gospa is None:
-        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
-    else:
-        reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
-    number = first_step + jnp.arange(len(reward))
-    counts = number < ends
-    reward = jnp.where(counts, reward, 0.0)
-    seen = as_one_set(tokens)
+    def observed(state: TeamState, known_input: Array) -> Observation:
+        here = problem.of_map(episode.map_number)
+        return step.observations(here, state, step.predict(here, state, known_input), known_input, episode.horizon)
 
-    def of_robot(tokens: Tokens, action, density) -> Trajectory:
+    memory = jax.vmap(policy.start)(observed(state, episode.inputs[0]))
+    played = simulate(problem, decide, episode, protocol, key, record, memory=memory, state=state)
+    last, ((sample, shown, memories), log_det, visible, gospa) = played
+    memory = jax.tree.map(lambda x: x[-1], memories)
+    after = jax.vmap(lambda seen, memory: policy.tokens(policy.shown(seen, memory)[0]))(
+        observed(last, following), memory
+    )
+    tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
+    before = jnp.mean(log_det_spd(state.central.information), axis=0)
+    if gospa is not None:
+        reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
+    elif assigns:
+        reward = own_rewards(log_det, visible, before, shown, episode, objective, discounted, whole)
+    else:
+        first = per_target(before, episode.present)
+        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+    number = first_step + jnp.arange(len(log_det))
+    counts = number < ends
+    reward = jnp.where(counts, jnp.broadcast_to(reward, (problem.team.agents, len(counts))), 0.0)
+    seen = None if assigns else as_one_set(tokens)
+
+    def of_robot(tokens: Tokens, action, density, reward) -> Trajectory:
         return Trajectory(tokens, action, density, reward, counts, number == ends - 1, seen)
 
-    return jax.vmap(of_robot, (1, 1, 1))(tokens, sample.action, sample.log_density), last
+    return jax.vmap(of_robot, (1, 1, 1, 0))(tokens, sample.action, sample.log_density, reward), last
+
+
+def own_rewards(
+    log_det: Float[Array, "K n"],
+    visible: Bool[Array, "K n"],
+    before: Float[Array, " n"],
+    shown: Bool[Array, "K M n"],
+    episode: Episode,
+    objective: Objective,
+    discounted: bool,
+    whole: bool,
+) -> Float[Array, "M K"]:
+    """Rewards of all steps as `trajectories.rewards`, of each robot for the targets that it is shown.
+
+    The growth of log det in a step counts for the robot that has the target in that step: who gets a target that is
+    known well is not rewarded for that.
+    """
+    if objective == "seen":
+        values = visible.astype(log_det.dtype)
+    elif objective == "terminal" or discounted:
+        values, whole = jnp.diff(log_det, axis=0, prepend=before[None]), False
+    else:
+        values = log_det
+    own = per_target(values[:, None], shown).T
+    return own / episode.horizon.astype(own.dtype) if whole else own
 
 
 def as_one_set(tokens: Tokens) -> Tokens:

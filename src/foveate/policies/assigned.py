@@ -34,12 +34,18 @@ MOST_COST = 1e3
 """Largest cost of one target."""
 
 
-class AssignedMemory(NamedTuple):
-    """Memory of the policy, the targets of the robot, and its bids for all."""
+class Share(NamedTuple):
+    """The targets of a robot, and its bids for all."""
 
-    own: Any
     targets: Bool[Array, " n"]
     bids: Float[Array, " n"]
+
+
+class AssignedMemory(NamedTuple):
+    """Memory of the policy, and the robot's share of the targets."""
+
+    own: Any
+    share: Share
 
 
 class Assigned(Policy):
@@ -58,58 +64,70 @@ class Assigned(Policy):
 
     def start(self, observation: Observation) -> AssignedMemory:
         """Assign before the first decision."""
-        nothing = jnp.zeros_like(observation.present)
-        first = AssignedMemory((), nothing, jnp.zeros_like(observation.mean[:, 0]))
-        shown, targets, bids = self._shown(observation, first)
-        return AssignedMemory(self.policy.start(shown), targets, bids)
+        shown, share = first_share(self.problem, self.rule, observation)
+        return AssignedMemory(self.policy.start(shown), share)
 
     def claims(self, observation: Observation, memory: AssignedMemory) -> Float[Array, " n"]:
-        """The bids of an auction; else 1 for the robot's targets."""
-        return memory.bids if self.rule == "auction" else memory.targets.astype(memory.bids.dtype)
+        """What the robots tell each other so that all assign alike."""
+        return told_of(self.rule, memory.share)
 
     def __call__(self, observation: Observation, memory: AssignedMemory, key: Key) -> tuple[Action, AssignedMemory]:
         """Decide as if the robot's targets were all."""
-        shown, targets, bids = self._shown(observation, memory)
+        shown, share = own_share(self.problem, self.rule, observation, memory.share)
         action, own = self.policy(shown, memory.own, key)
-        return action, AssignedMemory(own, targets, bids)
+        return action, AssignedMemory(own, share)
 
-    def _shown(
-        self, observation: Observation, memory: AssignedMemory
-    ) -> tuple[Observation, Bool[Array, " n"], Float[Array, " n"]]:
-        """The observation of this robot's targets, all where it has none; these targets, and its bids."""
-        team = observation.team
-        if team is None:
-            raise InputError("method: expected no assignment (NAME+RULE) for a single robot")
-        cost, own = self._costs(observation, team), jnp.arange(len(team.age)) == team.number
-        bids = -cost[team.number] + KEEP_NATS * memory.targets.astype(cost.dtype)
-        if self.rule == "auction":
-            is_heard = ~own & (team.age < observation.step)
-            cost = jnp.where(is_heard[:, None], -team.claims, cost)
-            cost = jnp.where(own[:, None], -bids, cost)
-        elif self.rule == "hungarian":
-            mine = memory.targets.astype(cost.dtype)
-            cost = cost - KEEP_NATS * jnp.where(own[:, None], mine, team.claims)
-        chosen = shares(cost, observation.present, self.rule == "greedy")
-        targets = chosen[team.number]
-        if self.rule == "auction":  # its claims are bids; the policy expects 1 for a target that a robot goes for
-            team = replace(team, claims=chosen.astype(cost.dtype))
-        shown = jnp.where(targets.any(), targets, observation.present)
-        return replace(observation, present=shown, team=team), targets, bids
 
-    def _costs(self, observation: Observation, team: TeamView) -> Float[Array, "M n"]:
-        """Distance [m], or price [nat], of every target for every robot, where it was heard last."""
-        space, positions = self.problem.agent.space, self.problem.motion.position(observation.mean)
-        points_body = jax.vmap(space.to_body, (0, None))(team.pose, positions)
-        if self.rule == "greedy":
-            return jnp.linalg.norm(points_body, axis=-1)
+def first_share(problem: Problem, rule: Assignment, observation: Observation) -> tuple[Observation, Share]:
+    """`own_share` before the first decision."""
+    nothing = Share(jnp.zeros_like(observation.present), jnp.zeros_like(observation.mean[:, 0]))
+    return own_share(problem, rule, observation, nothing)
 
-        def steps_of(number: Count, points_body: Float[Array, "n d"]) -> Float[Array, "n 2"]:
-            own = self.problem.of_robot(number).at(observation.step)
-            extent = own.sensor.view.extent
-            return jax.vmap(lambda point: steps_to_view(own.agent, own.tau, extent, point))(points_body)
 
-        steps = jax.vmap(steps_of)(jnp.arange(len(team.age)), points_body)
-        return log_det_spd(observation.information) + NATS_PER_STEP * jnp.sum(steps, axis=-1)
+def told_of(rule: Assignment, share: Share) -> Float[Array, " n"]:
+    """What a robot tells the others of every target: its bid in an auction, else 1 for those of its own."""
+    return share.bids if rule == "auction" else share.targets.astype(share.bids.dtype)
+
+
+def own_share(problem: Problem, rule: Assignment, observation: Observation, before: Share) -> tuple[Observation, Share]:
+    """The observation of this robot's targets, all where it has none, and its share; `before` is that of the last step.
+
+    Raises InputError for a single robot.
+    """
+    team = observation.team
+    if team is None:
+        raise InputError("method: expected no assignment (NAME+RULE) for a single robot")
+    cost, own = _costs(problem, rule, observation, team), jnp.arange(len(team.age)) == team.number
+    bids = -cost[team.number] + KEEP_NATS * before.targets.astype(cost.dtype)
+    if rule == "auction":
+        is_heard = ~own & (team.age < observation.step)
+        cost = jnp.where(is_heard[:, None], -team.claims, cost)
+        cost = jnp.where(own[:, None], -bids, cost)
+    elif rule == "hungarian":
+        mine = before.targets.astype(cost.dtype)
+        cost = cost - KEEP_NATS * jnp.where(own[:, None], mine, team.claims)
+    chosen = shares(cost, observation.present, rule == "greedy")
+    targets = chosen[team.number]
+    if rule == "auction":  # its claims are bids; the policy expects 1 for a target that a robot goes for
+        team = replace(team, claims=chosen.astype(cost.dtype))
+    shown = jnp.where(targets.any(), targets, observation.present)
+    return replace(observation, present=shown, team=team), Share(targets, bids)
+
+
+def _costs(problem: Problem, rule: Assignment, observation: Observation, team: TeamView) -> Float[Array, "M n"]:
+    """Distance [m], or price [nat], of every target for every robot, where it was heard last."""
+    space, positions = problem.agent.space, problem.motion.position(observation.mean)
+    points_body = jax.vmap(space.to_body, (0, None))(team.pose, positions)
+    if rule == "greedy":
+        return jnp.linalg.norm(points_body, axis=-1)
+
+    def steps_of(number: Count, points_body: Float[Array, "n d"]) -> Float[Array, "n 2"]:
+        own = problem.of_robot(number).at(observation.step)
+        extent = own.sensor.view.extent
+        return jax.vmap(lambda point: steps_to_view(own.agent, own.tau, extent, point))(points_body)
+
+    steps = jax.vmap(steps_of)(jnp.arange(len(team.age)), points_body)
+    return log_det_spd(observation.information) + NATS_PER_STEP * jnp.sum(steps, axis=-1)
 
 
 def shares(cost: Float[Array, "M n"], present: Bool[Array, " n"], is_greedy: bool) -> Bool[Array, "M n"]:

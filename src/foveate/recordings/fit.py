@@ -11,7 +11,7 @@ from foveate.experiment.learners import ActorCriticSettings
 from foveate.io.toml import save_toml
 from foveate.io.validate import require
 from foveate.names import Goal
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.recordings.formats import AnyPath, load_window
 from foveate.recordings.maps import inside, map_of
 from foveate.recordings.motion import MotionStatistics, fit_statistics

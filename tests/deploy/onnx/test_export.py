@@ -31,7 +31,8 @@ from foveate.experiment.run_folder import BEST
 from foveate.models.robot import Robot
 from foveate.planning.named import heuristic_policy
 from foveate.policies.attention import AttentionSettings
-from foveate.policies.pointer import PointerPolicy, PointerSettings
+from foveate.policies.pointer import PointerPolicy
+from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import BallView, PolygonView, SectorView
 from foveate.scenario.region import RegionSettings

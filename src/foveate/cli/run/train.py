@@ -19,7 +19,7 @@ from foveate.experiment.run_folder import BEST, CONFIG, Outcome
 from foveate.learning.devices import ProcessLost, folder_of_this_process
 from foveate.learning.run_files import stored_run
 from foveate.learning.train import train, watched
-from foveate.policies.pointer import PointerSettings
+from foveate.policies.pointer_settings import PointerSettings
 
 
 def run(options: Train) -> int:
