@@ -81,8 +81,7 @@ def test_the_range_is_that_of_most_features_in_each_world(monkeypatch):
     np.testing.assert_allclose(wider, [low - 1.0, high], atol=1e-5)
 
 
-def test_a_team_clips_nothing():
-    """What is told of mates is not met by the robots that are played alone."""
+def test_a_team_without_assigned_targets_clips_nothing():
     team = Scenario(team=TeamSettings(agents=2), scenes=FEW)
     experiment = Experiment(scenario=team, policy=SMALL, training=replace(TRAINING, worlds="own"))
     policy = experiment.new_policy(jax.random.key(0))

@@ -119,6 +119,44 @@ def test_the_reward_of_a_team_without_ids_is_the_gospa_that_its_filter_expects()
     np.testing.assert_allclose(played.reward, np.repeat(-trace.expected_gospa[None, 1:] / 3, M, axis=0), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("objective", "discounted", "whole"),
+    [("terminal", False, True), ("mean", False, True), ("mean", True, False), ("seen", False, True)],
+)
+def test_a_robot_with_assigned_targets_has_the_reward_of_its_own(objective, discounted, whole):
+    """From the log det and the measurements of a rollout, target by target."""
+    experiment = replace(EXPERIMENT, policy=replace(EXPERIMENT.policy, assignment="auction"))
+    scenes = replace(experiment.scenario.scenes, targets_min=3, targets_max=3)
+    experiment = replace(experiment, scenario=replace(experiment.scenario, scenes=scenes))
+    policy = experiment.new_policy(jax.random.key(4))
+    policy = eqx.tree_at(lambda p: p.idle_layer.bias, policy, policy.idle_layer.bias.at[0].set(-1e3))
+    policy = replace(policy, preference=100.0 * policy.preference)
+    (world,) = worlds_of(experiment)
+
+    @jax.jit
+    def run(key):
+        problem, episode = world.drawn(key)
+        how = (TRUE, objective, jnp.asarray(1e-9), key, start(problem, episode, TRUE), episode.horizon)
+        played = play_team(problem, policy, episode, *how, discounted, whole)[0]
+        return played, rollout(problem, policy, episode, TRUE, key)
+
+    played, trace = jax.tree.map(np.asarray, run(jax.random.key(2)))
+    prior = np.linalg.slogdet(world.problem.prior_information)[1]
+    steps = len(trace.log_det)
+    assert played.seen is None
+    for k in range(steps):
+        shown = played.tokens.present[:, k]
+        assert shown.any(axis=1).all()
+        for m in range(M):
+            own = []
+            for j in np.flatnonzero(shown[m]):
+                now, before = trace.log_det[k, j], trace.log_det[k - 1, j] if k else prior
+                growth = objective == "terminal" or discounted
+                own.append(trace.visible[k, j] if objective == "seen" else now - before if growth else now)
+            expected = np.mean(own) / (steps if objective != "terminal" and whole else 1)
+            assert played.reward[m, k] == pytest.approx(expected, abs=1e-6)
+
+
 @pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("robots", [None, (RobotSettings(), FAST)], ids=["alike", "different"])
@@ -128,6 +166,22 @@ def test_a_training_ends_with_a_policy_for_teams(robots, tmp_path):
     outcome = train(replace(EXPERIMENT, scenario=scenario), tmp_path / "run")
     assert outcome.epochs == 1
     assert load_run(tmp_path / "run")[1].tells_team
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_a_training_with_assigned_targets_begins_with_a_single_robot(tmp_path):
+    """It keeps the range of its features, which the training widens, and ends with a policy that assigns."""
+    settings = replace(EXPERIMENT.policy, clips_features=True)
+    single = replace(EXPERIMENT, scenario=replace(EXPERIMENT.scenario, team=None), policy=settings)
+    train(single, tmp_path / "single")
+    begins = replace(settings, assignment="hungarian", begin_with=str(tmp_path / "single"))
+    train(replace(EXPERIMENT, policy=begins), tmp_path / "team")
+    policy, before = load_run(tmp_path / "team")[1], load_run(tmp_path / "single")[1].feature_range
+    assert policy.rule == "hungarian"
+    assert (policy.feature_range[0] <= before[0] + 1e-6).all()
+    assert (policy.feature_range[1] >= before[1] - 1e-6).all()
+    assert (policy.feature_range != before).any()
 
 
 def test_alone_a_policy_for_teams_has_no_memory_and_decides_as_without_mates():

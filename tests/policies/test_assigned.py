@@ -120,7 +120,7 @@ def test_hungarian_goes_by_the_limits_and_view_of_every_robot():
         rows, columns = linear_sum_assignment(cost)
         for rule in ("hungarian", "auction"):
             policy = assigned_in(mixed, heuristic_in(mixed, "nearest"), rule)
-            targets = np.asarray(jax.jit(jax.vmap(policy.start))(seen).targets)
+            targets = np.asarray(jax.jit(jax.vmap(policy.start))(seen).share.targets)
             assert cost[targets].sum() == pytest.approx(cost[rows, columns].sum())
         alike = np.asarray(assigned((SCENARIO.problem(), seen), "hungarian", seen)[0])
         differs += bool((alike != targets).any())

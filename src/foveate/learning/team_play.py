@@ -112,7 +112,7 @@ def own_rewards(
         values, whole = jnp.diff(log_det, axis=0, prepend=before[None]), False
     else:
         values = log_det
-    own = per_target(values[:, None], shown).T
+    own = per_target(jnp.broadcast_to(values[:, None], shown.shape), shown).T
     return own / episode.horizon.astype(own.dtype) if whole else own
 
 
