@@ -7,7 +7,10 @@ import jax
 import numpy as np
 import pytest
 from helpers.episodes import training_episode
+from helpers.rejections import assert_rejected
+from helpers.worlds_of_detections import HALL
 
+from foveate.evaluation.rivals import policies_of
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import ACTOR_CRITIC, for_scenario
 from foveate.names import ASSIGNMENTS
@@ -54,6 +57,26 @@ def test_alone_it_decides_on_all_targets():
     own, single = network_of(replace(SINGLE, team=TEAM), "auction"), network_of(SINGLE)
     found, same = (jax.jit(lambda policy: rollout(problem, policy, episode, TRUE, key))(x) for x in (own, single))
     assert eqx.tree_equal(found, same)
+
+
+def test_without_ids_it_needs_the_same_tracks():
+    """Over a lossy radio robots have tracks of their own."""
+    lossy = replace(HALL, team=TeamSettings(agents=2, radio=RadioSettings(loss=0.5)))
+    assert_rejected(lambda: network_of(lossy, "auction"), "policy.assignment = 'auction': expected none: without ids")
+    assert isinstance(network_of(replace(HALL, team=TeamSettings(agents=2)), "auction"), AssignedPointer)
+
+
+def test_another_rule_replaces_its_own():
+    scenario = replace(SINGLE, team=TEAM)
+    own = network_of(scenario, "auction")
+    assert eqx.tree_equal(assigned_in(scenario, own, "greedy"), network_of(scenario, "greedy"))
+
+
+def test_a_verdict_compares_it_with_no_other_rule_for_it():
+    scenario = replace(SINGLE, team=replace(TEAM, robots=None))
+    experiment = Experiment(scenario=scenario, policy=SMALL, training=ACTOR_CRITIC)
+    assert list(policies_of(experiment, network_of(scenario, "auction"))) == ["policy"]
+    assert "policy+auction" in policies_of(experiment, network_of(scenario))
 
 
 def test_a_team_is_trained_like_any_with_assigned_targets():

@@ -10,19 +10,16 @@ import pytest
 from helpers.observations import SCENARIOS, moved, scene, seen
 from scipy.special import softmax
 
-from foveate.errors import InputError
 from foveate.models.robot import Robot
 from foveate.policies.pointer import PADDING_LOG_WEIGHT
 from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.steering import steer
 from foveate.policies.window import NETWORK_VALUES, DynamicWindow
-from foveate.scenario.detections import DetectionSettings
 from foveate.scenario.random_obstacles import CircleObstacles
 from foveate.scenario.region import RegionSettings
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 from foveate.scenario.sensor import ScheduleSettings
-from foveate.scenario.target import LinearTarget
 from foveate.simulation.episodes import training_episode
 from foveate.simulation.records import TRUE
 from foveate.simulation.rollout import rollout
@@ -221,23 +218,6 @@ def test_no_target_at_all_is_as_none_present(name):
     np.testing.assert_allclose(decision, decide(policy, absent), atol=1e-12)
 
 
-def test_wrong_settings():
-    for change, message in (
-        ({"target_widths": ()}, "target_widths"),
-        ({"context_widths": (0,)}, "context_widths"),
-        ({"mode_width": 0}, "mode_width = 0"),
-        ({"heads": 0}, "heads = 0"),
-        ({"modes": 0}, "modes = 0"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            replace(SMALL, **change)
-    swapped, eye = ((0.0, 1.0), (1.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))
-    target = LinearTarget(kind="linear", A=eye, B=eye, W=eye, Z=swapped, prior=eye)
-    still = replace(Scenario().scenes, drift_m_s=(0.0, 0.0))
-    with pytest.raises(ValueError, match="begins with the position"):
-        SMALL.policy(replace(Scenario(), target=target, scenes=still).problem(), KEY)
-
-
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_with_the_window_it_can_be_that_heuristic(name):
     """Which has tests of its own, and stands still without a target; the network's corrections are 0 here."""
@@ -267,15 +247,6 @@ def test_what_it_is_told_is_clipped_to_a_range():
     assert (told != unclipped).any()
     gradient = eqx.filter_grad(lambda policy: policy.modes(policy.tokens(observation)).action.sum())(policy)
     assert (np.asarray(gradient.feature_range) == 0).all(), "no training moves it"
-
-
-def test_the_window_is_for_networks_without_rays_and_targets_with_ids():
-    with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with rays"):
-        PointerSettings(kind="pointer", dynamic_window=True, rays=8).policy(Scenario().problem(), KEY)
-    detections = DetectionSettings(low_m=(-9.0, -9.0), high_m=(9.0, 9.0))
-    searched = Scenario(detections=detections, scenes=SceneSettings(known_drift=False))
-    with pytest.raises(InputError, match=r"policy.dynamic_window = True: expected false with rays, and with"):
-        replace(SMALL, dynamic_window=True).policy(searched.problem(), KEY)
 
 
 def test_the_window_of_a_network_knows_of_no_obstacles():

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from foveate.experiment.experiment import Experiment
 from foveate.names import ASSIGNMENTS, HEURISTICS, SEARCHERS, Assignment
 from foveate.planning.named import assigned_in, heuristic_in
+from foveate.policies.assigned_pointer import AssignedPointer
 from foveate.simulation.records import Policy
 
 ASSIGNED = ("uncertain", "price", "window")
@@ -17,7 +18,9 @@ def compared(experiment: Experiment, policy: Policy) -> dict[str, Policy]:
 
 
 def policies_of(experiment: Experiment, policy: Policy) -> dict[str, Policy]:
-    """The policy by the name "policy", and in a team as "policy+RULE" for every rule that assigns targets."""
+    """The policy by the name "policy", and in a team as "policy+RULE" for every rule, unless it has one of its own."""
+    if isinstance(policy, AssignedPointer):
+        return {"policy": policy}
     return {"policy": policy} | _assigned(experiment, {"policy": policy}, ("policy",))
 
 

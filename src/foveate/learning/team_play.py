@@ -8,6 +8,8 @@ of these. So a robot is not rewarded for what the others do, which drowns its ow
 """
 
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,7 @@ from foveate.policies.tokens import Tokens
 from foveate.simulation.records import Episode, Observation, Protocol, State, per_target
 from foveate.simulation.scans import expected
 from foveate.simulation.team import step
-from foveate.simulation.team.rollout import TeamOutcome, simulate
+from foveate.simulation.team.rollout import TeamDecide, TeamOutcome, simulate
 from foveate.simulation.team.step import TeamState
 from foveate.types import Count, Key, Scalar
 
@@ -44,15 +46,8 @@ def play_team(
     """Play as `trajectories.play`; the trajectory has a leading axis of robots."""
     assert episode.truth is not None, "training episodes are noisy"
     assert problem.team is not None, "of a team's problems"
-    assigns = isinstance(policy, AssignedPointer)
     following, first_step = episode.inputs[-1], state.robots.step[0]
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
-
-    def decide(observation, memory, key):
-        seen, memory = policy.shown(observation, memory)
-        mode, sample = sampled(policy, seen, action_std, key)
-        memory = policy.claimed(seen, memory, mode)
-        return command(seen, sample.action), policy.claims(seen, memory), memory, (sample, seen.present, memory)
 
     def record(done: TeamOutcome):
         central = done.state.central
@@ -60,35 +55,47 @@ def play_team(
         log_det = jnp.mean(log_det_spd(central.information), axis=0)
         return done.notes, log_det, jnp.any(done.drafts.measured, axis=0), gospa
 
-    def observed(state: TeamState, known_input: Array) -> Observation:
-        here = problem.of_map(episode.map_number)
-        return step.observations(here, state, step.predict(here, state, known_input), known_input, episode.horizon)
-
-    memory = jax.vmap(policy.start)(observed(state, episode.inputs[0]))
-    played = simulate(problem, decide, episode, protocol, key, record, memory=memory, state=state)
-    last, ((sample, shown, memories), log_det, visible, gospa) = played
-    memory = jax.tree.map(lambda x: x[-1], memories)
-    after = jax.vmap(lambda seen, memory: policy.tokens(policy.shown(seen, memory)[0]))(
-        observed(last, following), memory
-    )
+    observed = partial(_observed, problem.of_map(episode.map_number), episode)
+    memory, decide = jax.vmap(policy.start)(observed(state, episode.inputs[0])), _exploring(policy, action_std)
+    last, found = simulate(problem, decide, episode, protocol, key, record, memory=memory, state=state)
+    (sample, shown, memories), log_det, visible, gospa = found
+    seen, memory = observed(last, following), jax.tree.map(lambda x: x[-1], memories)
+    after = jax.vmap(lambda seen, memory: policy.tokens(policy.shown(seen, memory)[0]))(seen, memory)
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
-    before = jnp.mean(log_det_spd(state.central.information), axis=0)
+    before, what = jnp.mean(log_det_spd(state.central.information), axis=0), (discounted, whole)
+    has_own = isinstance(policy, AssignedPointer)
     if gospa is not None:
         reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
-    elif assigns:
-        reward = own_rewards(log_det, visible, before, shown, episode, objective, discounted, whole)
+    elif has_own:
+        reward = own_rewards(log_det, visible, before, shown, episode, objective, *what)
     else:
-        first = per_target(before, episode.present)
-        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
+        reward = rewards(log_det, visible, per_target(before, episode.present), episode, objective, *what)
     number = first_step + jnp.arange(len(log_det))
     counts = number < ends
     reward = jnp.where(counts, jnp.broadcast_to(reward, (problem.team.agents, len(counts))), 0.0)
-    seen = None if assigns else as_one_set(tokens)
+    everything = None if has_own else as_one_set(tokens)
 
     def of_robot(tokens: Tokens, action, density, reward) -> Trajectory:
-        return Trajectory(tokens, action, density, reward, counts, number == ends - 1, seen)
+        return Trajectory(tokens, action, density, reward, counts, number == ends - 1, everything)
 
     return jax.vmap(of_robot, (1, 1, 1, 0))(tokens, sample.action, sample.log_density, reward), last
+
+
+def _observed(problem: Problem, episode: Episode, state: TeamState, known_input: Array) -> Observation:
+    """What every robot observes before it decides, in a state."""
+    return step.observations(problem, state, step.predict(problem, state, known_input), known_input, episode.horizon)
+
+
+def _exploring(policy: PointerPolicy, action_std: Scalar) -> TeamDecide:
+    """Decisions that are `sampled`, with the sample, the targets shown, and the memory as notes."""
+
+    def decide(observation: Observation, memory: Any, key: Key):
+        seen, memory = policy.shown(observation, memory)
+        mode, sample = sampled(policy, seen, action_std, key)
+        memory = policy.claimed(seen, memory, mode)
+        return command(seen, sample.action), policy.claims(seen, memory), memory, (sample, seen.present, memory)
+
+    return decide
 
 
 def own_rewards(

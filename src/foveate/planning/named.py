@@ -1,5 +1,7 @@
 """Heuristics by their names, those that simulate their commands among them."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -7,7 +9,8 @@ from foveate.errors import InputError
 from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import HEURISTICS, SEARCHERS, Assignment
-from foveate.policies.assigned import Assigned
+from foveate.policies.assigned import Assigned, require_common_tracks
+from foveate.policies.assigned_pointer import AssignedPointer
 from foveate.policies.by_kind import ByKind, by_kind
 from foveate.policies.heuristics import Lawnmower, Nearest, Random, Still, Uncertain
 from foveate.policies.lookahead import LookAhead
@@ -61,17 +64,18 @@ def heuristic_in(scenario: Scenario, name: str, box_world: Float[Array, "2 d"] |
 
 
 def assigned_in(scenario: Scenario, policy: Policy, rule: Assignment) -> Policy:
-    """The policy, shown the targets of its robot only, by a rule.
+    """The policy, shown the targets of its robot only, by a rule: in place of its own, if it has one.
 
     Raises InputError for a single robot, and where detections have no ids for a radio by which not all have the same
     tracks, and for `explore`, which follows none.
     """
     problem = scenario.problem()
     require(problem.team is not None, "method", f"+{rule}", "expected none: the scenario has no team")
-    if problem.detections is not None and problem.team is not None:
-        right = "expected none: without ids robots have the same tracks only where every message arrives at once"
-        require(problem.team.radio.kind == "perfect", "method", f"+{rule}", right)
+    require_common_tracks(problem, "method", f"+{rule}")
+    if problem.detections is not None:
         own = policy.rest if isinstance(policy, ByKind) else policy
         follows = isinstance(own, Alternate) or not isinstance(own, Explore)
         require(follows, "method", f"explore+{rule}", "expected none: explore goes to places, not to targets")
+    if isinstance(policy, AssignedPointer):  # one rule: another within it would take its targets for all
+        return replace(policy, rule=rule)
     return Assigned(policy=policy, problem=problem, rule=rule)

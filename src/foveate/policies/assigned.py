@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from foveate.errors import InputError
 from foveate.geometry.linalg import log_det_spd
+from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import Assignment
 from foveate.policies.assignment import greedy, optimal
@@ -76,6 +77,13 @@ class Assigned(Policy):
         shown, share = own_share(self.problem, self.rule, observation, memory.share)
         action, own = self.policy(shown, memory.own, key)
         return action, AssignedMemory(own, share)
+
+
+def require_common_tracks(problem: Problem, name: str, rule: str) -> None:
+    """Raise InputError for `name` = `rule` where detections have no ids, and robots not the same tracks."""
+    right = "expected none: without ids robots have the same tracks only where every message arrives at once"
+    has_common = problem.detections is None or problem.team is None or problem.team.radio.kind == "perfect"
+    require(has_common, name, rule, right)
 
 
 def first_share(problem: Problem, rule: Assignment, observation: Observation) -> tuple[Observation, Share]:

@@ -12,6 +12,7 @@ from foveate.io.settings import Settings, tag
 from foveate.io.validate import require
 from foveate.models.problem import Problem
 from foveate.names import Assignment, Objective
+from foveate.policies.assigned import require_common_tracks
 from foveate.policies.assigned_pointer import AssignedPointer
 from foveate.policies.layers import SetEncoder, fresh_layers
 from foveate.policies.pointer import FREE_LOG_WEIGHT, NO_LIMIT, PREFERENCE, PointerPolicy
@@ -98,7 +99,9 @@ class PointerSettings(Settings):
         may_propose = self.fits_window(problem) or not self.dynamic_window
         right = "expected false with rays, and with detections without ids"
         require(may_propose, "policy.dynamic_window", self.dynamic_window, right)
-        problem = problem if self.assignment is None else replace(problem, team=None)
+        if self.assignment is not None:
+            require_common_tracks(problem, "policy.assignment", self.assignment)
+            problem = replace(problem, team=None)
         axes, embedding, context = problem.agent.space.twist_size, self.target_widths[-1], self.context_widths[-1]
         widths = (
             (token_size(problem, self.rays, self.dynamic_window), *self.target_widths),
