@@ -225,7 +225,8 @@ def test_a_training_ends_with_its_verdict(
 @pytest.mark.parametrize(
     ("world", "change", "said"),
     [
-        ("team-lossy", (), "policy+hungarian"),
+        ("pan", ("--set", "scenario.team.agents=2"), "policy+hungarian"),
+        ("team-lossy", (), "train for longer"),
         ("team-discover", (), "policy+hungarian"),
         ("team-discover", ("--set", "scenario.team.radio.loss=0.5"), "train for longer"),
         ("discover-sparse", (), "train for longer"),

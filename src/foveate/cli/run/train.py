@@ -121,10 +121,15 @@ def _judge(out: Path, experiment: Experiment) -> None:
     if "window" in verdict.unbeaten and _may_begin_at_window(experiment):
         print(f"  begin at window:       foveate train --config {out / CONFIG} --set policy.dynamic_window=true")
     team, has_ids = experiment.scenario.problem().team, experiment.scenario.detections is None
-    if team is not None and (has_ids or team.radio.kind == "perfect"):
+    if team is not None and (has_ids or team.radio.kind == "perfect") and not _assigns(experiment):
         print(f"  assign targets:        foveate evaluate {out} --scenes own --protocol true --method policy+hungarian")
+        print(f"  train with these:      foveate train --config {out / CONFIG} --set policy.assignment=auction")
     elif team is None and has_ids:
         print(f"  refine each decision:  foveate plan --run {out} --scenes own --refine 15")
+
+
+def _assigns(experiment: Experiment) -> bool:
+    return isinstance(experiment.policy, PointerSettings) and experiment.policy.assignment is not None
 
 
 def _may_begin_at_window(experiment: Experiment) -> bool:
