@@ -40,9 +40,16 @@ def test_a_training_begins_with_the_weights_of_a_run(tmp_path):
     found, expected = (jax.tree.leaves(eqx.filter(x, eqx.is_array)) for x in (policy, given.network))
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)
-    wider = replace(begins, policy=replace(begins.policy, target_widths=(9,)))
-    with pytest.raises(InputError, match=r"policy.begin_with = .*expected a run of the scenario.s space"):
-        first_policy(wider, jax.random.key(0))
+    for change in (
+        {"target_widths": (9,)},
+        {"context_widths": (9,), "dynamic_window": True},
+        {"mode_width": 9, "dynamic_window": True},
+        {"clips_features": True},
+        {"begin_with": "quadrotor", "dynamic_window": True},
+    ):
+        other = replace(begins, policy=replace(begins.policy, **change))
+        with pytest.raises(InputError, match=r"policy.begin_with = .*expected a run with a network of this shape: of"):
+            first_policy(other, jax.random.key(0))
 
 
 @pytest.mark.parametrize("clips", [False, True])

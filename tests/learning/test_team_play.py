@@ -14,7 +14,7 @@ from foveate.experiment.checkpoint import load_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings, TrainingSettings
 from foveate.learning.loop import train
-from foveate.learning.team_play import play_team
+from foveate.learning.team_play import own_rewards, play_team
 from foveate.learning.trajectories import log_density
 from foveate.learning.windows import cut
 from foveate.learning.worlds import worlds_of
@@ -151,9 +151,10 @@ def test_a_robot_with_assigned_targets_has_the_reward_of_its_own(objective, disc
             own = []
             for j in np.flatnonzero(shown[m]):
                 now, before = trace.log_det[k, j], trace.log_det[k - 1, j] if k else prior
-                growth = objective == "terminal" or discounted
-                own.append(trace.visible[k, j] if objective == "seen" else now - before if growth else now)
-            expected = np.mean(own) / (steps if objective != "terminal" and whole else 1)
+                own.append(trace.visible[k, j] if objective == "seen" else now - before)
+            # Of a mean over the steps a growth counts in all that are left.
+            share = {"terminal": 1.0, "seen": 1 / steps, "mean": 1.0 if discounted else (steps - k) / steps}
+            expected = share[objective] * np.mean(own)
             assert played.reward[m, k] == pytest.approx(expected, abs=1e-6)
 
 
@@ -166,6 +167,17 @@ def test_a_training_ends_with_a_policy_for_teams(robots, tmp_path):
     outcome = train(replace(EXPERIMENT, scenario=scenario), tmp_path / "run")
     assert outcome.epochs == 1
     assert load_run(tmp_path / "run")[1].tells_team
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_who_changes_targets_gains_nothing_by_it(whole):
+    """Two robots with a target each, known well and badly, which they exchange; and one that is seen on the way."""
+    log_det = jnp.array([[8.0, 0.0], [8.0, 0.0], [8.0, 1.0], [8.0, 1.0]])
+    shown = jnp.array([[[True, False], [False, True]]] * 2 + [[[False, True], [True, False]]] * 2)
+    left, nothing = jnp.array([4.0, 3.0, 2.0, 1.0]), jnp.zeros((4, 2), bool)
+    how = (log_det, nothing, log_det[0], shown, left, jnp.asarray(4.0))
+    found = own_rewards(*how, "mean", False, whole)
+    np.testing.assert_allclose(found, np.array([[0.0, 0.0, 2.0, 0.0], [0.0] * 4]) / (4 if whole else 1))
 
 
 @pytest.mark.exhaustive

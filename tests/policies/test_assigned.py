@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from foveate.experiment.resolve import methods_of
 from foveate.planning.named import assigned_in, heuristic_in
-from foveate.policies.assigned import KEEP_NATS, shares
+from foveate.policies.assigned import BID_STEPS, KEEP_NATS, shares
 from foveate.policies.rules import priced
 from foveate.scenario.agent import DifferentialDrive
 from foveate.scenario.field_of_view import TriangleView
@@ -146,6 +146,32 @@ def test_an_auction_goes_by_the_bids_that_were_heard(observed):
     own = jax.jit(jax.vmap(policy.claims))(seen, memory)
     expected = -prices(observed)[0]
     np.testing.assert_allclose(own[0], expected, atol=1e-9)
+
+
+def test_old_bids_count_as_estimates_do(observed):
+    """Bids of two steps ago say what the places of then do: an auction is then as hungarian."""
+    seen = observed[1]
+    bids = jnp.array([-900.0, -900.0, 900.0])
+    age = jnp.where(jnp.eye(M, dtype=int) == 1, 0, BID_STEPS)
+    heard = (jnp.full(M, 9), age, seen.team.claims.at[:, 1].set(bids))
+    later = eqx.tree_at(lambda seen: (seen.step, seen.team.age, seen.team.claims), seen, heard)
+    unheard = eqx.tree_at(lambda seen: seen.team.claims, later, jnp.zeros_like(seen.team.claims))
+    expected = assigned(observed, "hungarian", unheard)[0]
+    np.testing.assert_array_equal(assigned(observed, "auction", later)[0], expected)
+
+
+def test_a_robot_that_begins_again_keeps_what_it_has_claimed(observed):
+    """In a window of a training the memory begins anew, and the roster goes on."""
+    seen = observed[1]
+    cost = prices(observed)
+    first = assigned(observed, "hungarian")[0]
+    claims = jnp.tile(jnp.asarray(first, float), (M, 1, 1))
+    again = eqx.tree_at(lambda seen: seen.team.claims, seen, claims)
+    targets, policy, memory = assigned(observed, "hungarian", again)
+    np.testing.assert_array_equal(targets, first)
+    own = jax.jit(jax.vmap(lambda *each: policy(*each)[1]))(again, memory, jax.random.split(jax.random.key(0), M))
+    np.testing.assert_allclose(memory.share.bids - (-cost), KEEP_NATS * first, atol=1e-9)
+    np.testing.assert_array_equal(own.share.targets, first)
 
 
 def test_a_robot_keeps_its_target_for_a_while(observed):

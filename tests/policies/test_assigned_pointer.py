@@ -13,6 +13,7 @@ from helpers.worlds_of_detections import HALL
 from foveate.evaluation.rivals import policies_of
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.presets import ACTOR_CRITIC, for_scenario
+from foveate.experiment.resolve import in_scenario
 from foveate.names import ASSIGNMENTS
 from foveate.planning.named import assigned_in
 from foveate.policies.assigned_pointer import AssignedPointer
@@ -63,7 +64,10 @@ def test_without_ids_it_needs_the_same_tracks():
     """Over a lossy radio robots have tracks of their own."""
     lossy = replace(HALL, team=TeamSettings(agents=2, radio=RadioSettings(loss=0.5)))
     assert_rejected(lambda: network_of(lossy, "auction"), "policy.assignment = 'auction': expected none: without ids")
-    assert isinstance(network_of(replace(HALL, team=TeamSettings(agents=2)), "auction"), AssignedPointer)
+    shared = replace(HALL, team=TeamSettings(agents=2))
+    assert isinstance(network_of(shared, "auction"), AssignedPointer)
+    experiment = Experiment(scenario=shared, policy=replace(SMALL, assignment="auction"), training=ACTOR_CRITIC)
+    assert_rejected(lambda: in_scenario(experiment, lossy), "policy.assignment = 'auction': expected none: without ids")
 
 
 def test_another_rule_replaces_its_own():
@@ -80,5 +84,7 @@ def test_a_verdict_compares_it_with_no_other_rule_for_it():
 
 
 def test_a_team_is_trained_like_any_with_assigned_targets():
+    """By bids where all are heard, else by places."""
     assert for_scenario(replace(SINGLE, team=TeamSettings(agents=2)), "any").policy.assignment == "auction"
+    assert for_scenario(replace(SINGLE, team=replace(TEAM, robots=None)), "any").policy.assignment == "greedy"
     assert for_scenario(SINGLE, "any").policy.assignment is None

@@ -29,17 +29,21 @@ def first_policy(experiment: Experiment, key: Key) -> Policy:
         given = with_window(given, policy)
     weights = jax.tree.leaves(eqx.filter(given, eqx.is_array))
     fits = [x.shape for x in weights] == [x.shape for x in jax.tree.leaves(arrays)]
-    right = "expected a run of the scenario's space and team, with the sizes and clips_features of policy"
+    right = (
+        "expected a run with a network of this shape: of the scenario's space, of a team (of a single robot with "
+        "policy.assignment), with the sizes, rays and clips_features of policy, and a dynamic window only as policy has"
+    )
     require(fits, "policy.begin_with", experiment.begins_with, right)
     return eqx.combine(jax.tree.unflatten(jax.tree.structure(arrays), weights), static)
 
 
 def with_window(policy: PointerPolicy, new: PointerPolicy) -> PointerPolicy:
-    """The weights of a network without the dynamic window, with those of `new` for it; itself where `new` has none.
+    """The weights of a network without the dynamic window, with those of `new` for it, if their contexts are as wide.
 
     What the window expects counts nothing at first, and its command has the weight of one that does not aim.
     """
-    if new.window_log_weight is None or policy.window_log_weight is not None:
+    adds_window = new.window_log_weight is not None and policy.window_log_weight is None
+    if not adds_window or policy.idle_layer.weight.shape[1] != new.idle_layer.weight.shape[1]:
         return policy
     first, size = policy.encoder.target_layers[0], len(policy.idle_layer.weight)
     idle = [jax.tree.leaves(each.idle_layer) for each in (policy, new)]  # weight and bias

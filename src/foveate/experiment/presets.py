@@ -6,6 +6,7 @@ from dataclasses import replace
 from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment, with_learner
 from foveate.experiment.learners import ActorCriticSettings, LearningSettings, PPOSettings, TrainingSettings
+from foveate.names import Assignment
 from foveate.policies.attention import AttentionSettings
 from foveate.policies.pointer_settings import PointerSettings
 from foveate.scenario.agent import DifferentialDrive, FreeBody, Quadrotor
@@ -177,16 +178,23 @@ LEARNERS = {"policy-gradient": TrainingSettings(), "actor-critic": ACTOR_CRITIC,
 """Learners that can replace an experiment's own."""
 
 
+def rule_for(scenario: Scenario) -> Assignment | None:
+    """The rule that assigns targets in a team: by bids where all are heard, else by places; None for one robot."""
+    team = scenario.problem().team
+    if team is None:
+        return None
+    return "auction" if team.radio.kind == "perfect" else "greedy"
+
+
 def for_scenario(scenario: Scenario, preset: str = "true-view") -> Experiment:
     """Return an experiment of a scenario with a preset's network and learner, their lengths scaled with the view.
 
-    With "any" a training begins with the weights of that preset, in a team with assigned targets.
+    With "any" a training begins with the weights of that preset, in a team with assigned targets (`rule_for`).
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}: presets are {', '.join(PRESETS)}")
     if preset == "any":
-        rule = None if scenario.team is None else "auction"
-        policy = replace(ANY, begin_with="any", assignment=rule)
+        policy = replace(ANY, begin_with="any", assignment=rule_for(scenario))
         return Experiment(scenario=scenario, policy=policy, training=FINE_TUNING)
     base = PRESETS[preset]
     scale = float(scenario.view.depth_m) / float(base.scenario.view.depth_m)

@@ -18,6 +18,7 @@ from foveate.io.toml import load_toml
 from foveate.models.problem import Problem
 from foveate.names import ASSIGNMENTS, METHODS, SEARCHERS, Assignment, InitialError, Objective
 from foveate.planning.named import assigned_in, heuristic_in
+from foveate.policies.assigned import require_common_tracks
 from foveate.policies.pointer import PointerPolicy
 from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.tokens import token_size
@@ -115,6 +116,8 @@ def in_scenario(experiment: Experiment, scenario: Scenario, objective: Objective
     trained, given = (_shape_of(each.problem(), is_pointer) for each in (experiment.scenario, scenario))
     if trained != given:
         raise InputError(f"scenario: has {given}: expected {trained}, as the policy was trained for")
+    if isinstance(experiment.policy, PointerSettings) and (rule := experiment.policy.assignment) is not None:
+        require_common_tracks(scenario.problem(), "policy.assignment", rule)
     if isinstance(training, ActorCriticSettings):
         if experiment.is_for_any_robot and objective is None:
             scenes = scenario.scenes

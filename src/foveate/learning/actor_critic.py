@@ -128,7 +128,10 @@ def gather(
 
 
 def score_of(world: World, settings: ActorCriticSettings, trajectory: Trajectory) -> Scalar:
-    """Mean score of whole episodes; of windows the mean growth of the score, or share of time in view, per step."""
+    """Mean score of whole episodes; of windows the mean growth of the score, or share of time in view, per step.
+
+    Of robots with assigned targets the mean of their own rewards, which is no score of the team.
+    """
     total = jnp.sum(trajectory.reward, axis=-1)
     if not plays_whole(world.scenes, settings):
         return jnp.mean(total / jnp.maximum(jnp.sum(trajectory.counts, axis=-1), 1).astype(total.dtype))

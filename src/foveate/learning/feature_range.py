@@ -61,7 +61,7 @@ def _range(world: World, policy: PointerPolicy, key: Key) -> np.ndarray:
         else:
             memory = jax.vmap(policy.start)(team.first_observations(problem, episode, TRUE))
             what = problem, _noting_in_team(policy), episode, TRUE, policy_key, lambda done: done.notes
-            notes = team.simulate(*what, memory=memory)[1]
+            notes = team.simulate(*what, memory=memory)[2]
         tokens, number = notes
         counts = tokens.present & (number < episode.horizon)[..., None]
         return tokens.features, counts

@@ -3,8 +3,9 @@
 All have the team's reward, and the critic is told the tokens of all robots, as of one set: it sees what no robot of a
 lossy radio does. It is discarded after training, so that each robot decides alone (Lowe 2017; Yu 2022, "MAPPO").
 
-Robots with assigned targets are trained as single ones: each has the reward of its own targets, and its critic is told
-of these. So a robot is not rewarded for what the others do, which drowns its own part in a large team.
+Robots with assigned targets are trained as single ones: each has the reward of the targets that it is shown, and its
+critic is told of these. So a robot is not rewarded for what the others do, which drowns its own part in a large team.
+Without ids the expected GOSPA is not that of single tracks: reward and critic are then those of the team.
 """
 
 from dataclasses import replace
@@ -45,7 +46,6 @@ def play_team(
 ) -> tuple[Trajectory, TeamState]:
     """Play as `trajectories.play`; the trajectory has a leading axis of robots."""
     assert episode.truth is not None, "training episodes are noisy"
-    assert problem.team is not None, "of a team's problems"
     following, first_step = episode.inputs[-1], state.robots.step[0]
     episode = replace(episode, inputs=episode.inputs[: len(episode.truth.measurement_noise)])
 
@@ -57,22 +57,24 @@ def play_team(
 
     observed = partial(_observed, problem.of_map(episode.map_number), episode)
     memory, decide = jax.vmap(policy.start)(observed(state, episode.inputs[0])), _exploring(policy, action_std)
-    last, found = simulate(problem, decide, episode, protocol, key, record, memory=memory, state=state)
-    (sample, shown, memories), log_det, visible, gospa = found
-    seen, memory = observed(last, following), jax.tree.map(lambda x: x[-1], memories)
-    after = jax.vmap(lambda seen, memory: policy.tokens(policy.shown(seen, memory)[0]))(seen, memory)
+    last, memory, found = simulate(problem, decide, episode, protocol, key, record, memory=memory, state=state)
+    (sample, shown), log_det, visible, gospa = found
+    told = jax.vmap(lambda seen, memory: policy.tokens(policy.shown(seen, memory)[0]))
+    after = told(observed(last, following), memory)
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
     before, what = jnp.mean(log_det_spd(state.central.information), axis=0), (discounted, whole)
-    has_own = isinstance(policy, AssignedPointer)
+    has_own = isinstance(policy, AssignedPointer) and gospa is None
+    number, steps = first_step + jnp.arange(len(log_det)), episode.horizon.astype(log_det.dtype)
     if gospa is not None:
-        reward = -gospa / (episode.horizon.astype(gospa.dtype) if whole else 1.0)
+        reward = -gospa / (steps if whole else 1.0)
     elif has_own:
-        reward = own_rewards(log_det, visible, before, shown, episode, objective, *what)
+        reward = own_rewards(
+            log_det, visible, before, shown, steps - number.astype(steps.dtype), steps, objective, *what
+        )
     else:
         reward = rewards(log_det, visible, per_target(before, episode.present), episode, objective, *what)
-    number = first_step + jnp.arange(len(log_det))
     counts = number < ends
-    reward = jnp.where(counts, jnp.broadcast_to(reward, (problem.team.agents, len(counts))), 0.0)
+    reward = jnp.where(counts, jnp.broadcast_to(reward, (shown.shape[1], len(counts))), 0.0)
     everything = None if has_own else as_one_set(tokens)
 
     def of_robot(tokens: Tokens, action, density, reward) -> Trajectory:
@@ -87,13 +89,13 @@ def _observed(problem: Problem, episode: Episode, state: TeamState, known_input:
 
 
 def _exploring(policy: PointerPolicy, action_std: Scalar) -> TeamDecide:
-    """Decisions that are `sampled`, with the sample, the targets shown, and the memory as notes."""
+    """Decisions that are `sampled`, with the sample and the targets shown as notes."""
 
     def decide(observation: Observation, memory: Any, key: Key):
         seen, memory = policy.shown(observation, memory)
         mode, sample = sampled(policy, seen, action_std, key)
         memory = policy.claimed(seen, memory, mode)
-        return command(seen, sample.action), policy.claims(seen, memory), memory, (sample, seen.present, memory)
+        return command(seen, sample.action), policy.claims(seen, memory), memory, (sample, seen.present)
 
     return decide
 
@@ -103,24 +105,27 @@ def own_rewards(
     visible: Bool[Array, "K n"],
     before: Float[Array, " n"],
     shown: Bool[Array, "K M n"],
-    episode: Episode,
+    left: Float[Array, " K"],
+    steps: Scalar,
     objective: Objective,
     discounted: bool,
     whole: bool,
 ) -> Float[Array, "M K"]:
     """Rewards of all steps as `trajectories.rewards`, of each robot for the targets that it is shown.
 
-    The growth of log det in a step counts for the robot that has the target in that step: who gets a target that is
-    known well is not rewarded for that.
+    `left` are the steps until the end of the episode, this one included, of `steps` in all.
+
+    What a target's log det grows by in a step counts for the robot that has it in that step, for "mean" as often as
+    there are steps left. So who takes over a target that is known well, or is rid of one that is not, gains nothing.
     """
-    if objective == "seen":
-        values = visible.astype(log_det.dtype)
-    elif objective == "terminal" or discounted:
-        values, whole = jnp.diff(log_det, axis=0, prepend=before[None]), False
-    else:
-        values = log_det
-    own = per_target(jnp.broadcast_to(values[:, None], shown.shape), shown).T
-    return own / episode.horizon.astype(own.dtype) if whole else own
+    growth = jnp.diff(log_det, axis=0, prepend=before[None])
+    values = visible.astype(log_det.dtype) if objective == "seen" else growth
+    own = per_target(jnp.broadcast_to(values[:, None], shown.shape), shown)
+    if objective == "terminal" or (objective == "mean" and discounted):
+        return own.T
+    if objective == "mean":
+        own = left[:, None] * own
+    return own.T / steps if whole else own.T
 
 
 def as_one_set(tokens: Tokens) -> Tokens:

@@ -81,7 +81,7 @@ def _of_team(problem: Problem, episode: Episode, action: Float[Array, "K M m"]) 
     def record(outcome):
         return outcome.state.central.population.undetected
 
-    after = team_simulate(problem, decide, episode, TRUE, jax.random.key(0), record)[1]
+    after = team_simulate(problem, decide, episode, TRUE, jax.random.key(0), record)[2]
     return jnp.concatenate([begin(problem, episode).undetected[None], after])
 
 

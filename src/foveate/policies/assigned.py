@@ -28,6 +28,9 @@ from foveate.types import Action, Count, Key
 KEEP_NATS = 2.0
 """How much better another assignment must be before a robot changes its target: less, and noise would decide."""
 
+BID_STEPS = 2
+"""Bids that are not newer [steps] are replaced by estimates, from where their robot was heard last."""
+
 LOAD = 1e4
 """Cost of a second target of one robot: only where all robots have one."""
 
@@ -87,9 +90,13 @@ def require_common_tracks(problem: Problem, name: str, rule: str) -> None:
 
 
 def first_share(problem: Problem, rule: Assignment, observation: Observation) -> tuple[Observation, Share]:
-    """`own_share` before the first decision."""
-    nothing = Share(jnp.zeros_like(observation.present), jnp.zeros_like(observation.mean[:, 0]))
-    return own_share(problem, rule, observation, nothing)
+    """`own_share` before the first decision, or where one begins again: its own claims say which targets it has.
+
+    Bids do not say so; an auction begins anew.
+    """
+    team, none = observation.team, jnp.zeros_like(observation.present)
+    has = none if team is None or rule == "auction" else team.claims[team.number] > 0
+    return own_share(problem, rule, observation, Share(has, jnp.zeros_like(observation.mean[:, 0])))
 
 
 def told_of(rule: Assignment, share: Share) -> Float[Array, " n"]:
@@ -108,7 +115,8 @@ def own_share(problem: Problem, rule: Assignment, observation: Observation, befo
     cost, own = _costs(problem, rule, observation, team), jnp.arange(len(team.age)) == team.number
     bids = -cost[team.number] + KEEP_NATS * before.targets.astype(cost.dtype)
     if rule == "auction":
-        is_heard = ~own & (team.age < observation.step)
+        # Before its first message a robot has no bids; of old ones its place says more.
+        is_heard = ~own & (team.age < jnp.minimum(observation.step, BID_STEPS))
         cost = jnp.where(is_heard[:, None], -team.claims, cost)
         cost = jnp.where(own[:, None], -bids, cost)
     elif rule == "hungarian":

@@ -5,6 +5,8 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
+from foveate.errors import InputError
+from foveate.models.problem import Problem
 from foveate.names import Assignment
 from foveate.policies.assigned import first_share, own_share, told_of
 from foveate.policies.pointer import PointerPolicy
@@ -12,7 +14,10 @@ from foveate.simulation.records import Observation
 
 
 class AssignedPointer(PointerPolicy):
-    """A pointer network that is shown the targets of its robot only; alone, as on a robot of its own, all of them."""
+    """A pointer network that is shown the targets of its robot only; alone, as on a robot of its own, all of them.
+
+    `rule` is as in `Assigned`.
+    """
 
     rule: Assignment = eqx.field(static=True, default="auction")
 
@@ -39,6 +44,7 @@ class AssignedPointer(PointerPolicy):
         return memory
 
 
-def _problem(observation: Observation):
-    assert observation.robot is not None, "tokens_of rejects others"
+def _problem(observation: Observation) -> Problem:
+    if observation.robot is None:
+        raise InputError("observation.robot = None: expected the robot, which this policy asks for")
     return observation.robot.problem

@@ -62,8 +62,8 @@ class PointerSettings(Settings):
     along them; 0: it knows of no obstacles."""
     dynamic_window: bool = False
     """Proposes the command of the heuristic `window`, too, and is told what that expects of steering to each target: a
-    training then begins about as good as `window`. It knows of no obstacles; not with rays, nor trained for detections
-    without ids."""
+    training then begins about as good as `window`; with `begin_with`, as that network is. It knows of no obstacles; not
+    with rays, nor trained for detections without ids."""
 
     assignment: Assignment | None = None
     """Rule that assigns targets to the robots of a team: greedy, hungarian or auction."""

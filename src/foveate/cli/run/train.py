@@ -13,7 +13,7 @@ from foveate.evaluation.verdict import judge_run
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import PPOSettings, TrainingSettings
 from foveate.experiment.overrides import with_changes
-from foveate.experiment.presets import adjusted, for_long_horizons
+from foveate.experiment.presets import adjusted, for_long_horizons, rule_for
 from foveate.experiment.resolve import experiment_from
 from foveate.experiment.run_folder import BEST, CONFIG, Outcome
 from foveate.learning.devices import ProcessLost, folder_of_this_process
@@ -122,8 +122,9 @@ def _judge(out: Path, experiment: Experiment) -> None:
         print(f"  begin at window:       foveate train --config {out / CONFIG} --set policy.dynamic_window=true")
     team, has_ids = experiment.scenario.problem().team, experiment.scenario.detections is None
     if team is not None and (has_ids or team.radio.kind == "perfect") and not _assigns(experiment):
+        rule, anew = rule_for(experiment.scenario), "" if experiment.begins_with is None else " policy.begin_with="
         print(f"  assign targets:        foveate evaluate {out} --scenes own --protocol true --method policy+hungarian")
-        print(f"  train with these:      foveate train --config {out / CONFIG} --set policy.assignment=auction")
+        print(f"  train with these:      foveate train --config {out / CONFIG} --set policy.assignment={rule}{anew}")
     elif team is None and has_ids:
         print(f"  refine each decision:  foveate plan --run {out} --scenes own --refine 15")
 
@@ -134,6 +135,6 @@ def _assigns(experiment: Experiment) -> bool:
 
 def _may_begin_at_window(experiment: Experiment) -> bool:
     network = experiment.network
-    if not isinstance(network, PointerSettings) or network.dynamic_window:
+    if not isinstance(network, PointerSettings) or network.dynamic_window or network.begin_with:
         return False
     return network.fits_window(experiment.scenario.problem())

@@ -45,8 +45,8 @@ def simulate(
     *,
     memory: Any = (),
     state: TeamState | None = None,
-) -> tuple[TeamState, PyTree]:
-    """Run all steps of a team's episode; return the last state, and records with a leading axis of K.
+) -> tuple[TeamState, Any, PyTree]:
+    """Run all steps of a team's episode; return the last state and memory, and records with a leading axis of K.
 
     Every robot decides by the same `decide`, with a key of its own and its own `memory`, of which each array has a
     leading axis of M. The simulation begins with `state`, by default the start of the episode.
@@ -71,8 +71,8 @@ def simulate(
         return (after, memory), record(TeamOutcome(seen, action, notes, after, drafts, heard))
 
     first = step.start(problem, episode, protocol) if state is None else state
-    (last, _), records = jax.lax.scan(advance, (first, memory), per_step)
-    return last, records
+    (last, memory), records = jax.lax.scan(advance, (first, memory), per_step)
+    return last, memory, records
 
 
 def decider(policy: Policy) -> TeamDecide:
@@ -114,7 +114,7 @@ def rollout(problem: Problem, policy: Policy, episode: Episode, protocol: Protoc
         own = {"action": outcome.action, "visible": outcome.drafts.measured, "heard": outcome.heard}
         return robots.pose, _central(problem, state), own | _members(problem, robots, truth), counts
 
-    _, found = simulate(problem, decider(policy), episode, protocol, key, record, memory=memory)
+    _, _, found = simulate(problem, decider(policy), episode, protocol, key, record, memory=memory)
     pose, central, own, (contacts, rejections, no_room) = found
     first = step.start(problem.of_map(episode.map_number), episode, protocol)
     poses, central = jax.tree.map(
