@@ -3,7 +3,7 @@
     python experiments/team_suite.py [WORLD ..] [--policy RUN] [--agents M] [--silent] [--scenes 90] [--seed 2023]
 
 The policies are the presets `any` and, among rooms, `rooms`, trained in none of these teams: a network trained for one
-robot, of which each robot is shown its own targets only; or that of RUN, as it is. The score is the objective of the
+robot, of which each robot is shown its own targets only; or that of RUN. The score is the objective of the
 world, by all measurements; leads are paired, over the best heuristic with assigned targets. `--agents` has another
 number of robots, and with `--silent` no message arrives.
 """
@@ -39,8 +39,7 @@ def main() -> None:
     for world in given.world:
         print(world, flush=True)
         scenario = changed(experiment_from(FOLDER / f"{world}.toml").scenario, given.agents, given.silent)
-        policies = [f"policy+{rule}" for rule in ASSIGNMENTS] if given.policy is None else []
-        measure(given.policy or PRESET_OF[world], scenario, ("policy", *policies), given.scenes, given.seed)
+        measure(given.policy or PRESET_OF[world], scenario, given.scenes, given.seed)
 
 
 def changed(scenario: Scenario, agents: int | None, silent: bool) -> Scenario:
@@ -50,7 +49,7 @@ def changed(scenario: Scenario, agents: int | None, silent: bool) -> Scenario:
     return replace(scenario, team=replace(team, radio=RadioSettings(loss=1.0)) if silent else team)
 
 
-def measure(policy: str, scenario: Scenario, policies: tuple[str, ...], count: int, seed: int) -> None:
+def measure(policy: str, scenario: Scenario, count: int, seed: int) -> None:
     """Print a line a method: of the policies the lead over the best heuristic in the same scenes."""
     subject, problem, settings = subject_of(policy, scenario), scenario.problem(), scenario.scenes
     cells = [Cell(n, True) for n in range(settings.targets_min, settings.targets_max + 1)]
@@ -64,7 +63,7 @@ def measure(policy: str, scenario: Scenario, policies: tuple[str, ...], count: i
 
     assigned = {f"{name}+{rule}": scores(f"{name}+{rule}") for name in HEURISTICS for rule in ASSIGNMENTS}
     best = max(assigned, key=lambda method: assigned[method].mean())
-    for method in policies:
+    for method in ("policy", *(f"policy+{rule}" for rule in ASSIGNMENTS)):
         lead = scores(method) - assigned[best]
         print(f"    leads {best} by {lead.mean():.2f} +- {lead.std(ddof=1) / len(lead) ** 0.5:.2f}", flush=True)
 
