@@ -38,6 +38,12 @@ def test_a_change_of_a_key_keeps_its_neighbours():
     )
 
 
+def test_a_key_without_a_value_is_left_out():
+    begun = with_changes(PRESETS["any"], ["policy.begin_with=any", "policy.assignment=auction"])
+    assert begun.policy != PRESETS["any"].policy
+    assert with_changes(begun, ["policy.begin_with=", "policy.assignment = "]) == PRESETS["any"]
+
+
 def test_naming_the_same_kind_again_clears_nothing():
     pan = PRESETS["pan"]
     assert with_changes(pan, ["scenario.agent.kind=body", "scenario.view.shape=sector"]) == pan
@@ -52,6 +58,8 @@ def test_naming_the_same_kind_again_clears_nothing():
         ("scenario.view.depth_m=nan", "--set: scenario.view.depth_m = nan: expected a finite number"),
         ("scenario.view.shape=cube", "--set: scenario.view.shape = 'cube': expected one of"),
         ("training.epochs=0", "--set: training: epochs = 0: expected >= 1"),
+        ("training.epochs=", "--set: training.epochs = None: expected a whole number"),
+        ("policy.begn_with= ", "--set: policy.begn_with = None: unknown key"),
         ("scenario.tau_s.x=1", "--set: scenario.tau_s = {'x': 1}: expected a finite number"),
         ("training.epochs", "--set training.epochs: expected KEY=VALUE"),
         ("=5", "--set =5: expected KEY=VALUE"),

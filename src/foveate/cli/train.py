@@ -30,7 +30,8 @@ class Train(Command):
     config: Annotated[Path | None, option("FILE.toml")] = None
     """Experiment in place of a preset: from `foveate fit` or `foveate config`, or a copy of config.toml of a run."""
     set: Changes = ()
-    """Settings that replace those of the preset or file, as scenario.view.depth_m=5 training.learning_rate=3e-4."""
+    """Settings that replace those of the preset or file, as scenario.view.depth_m=5 training.learning_rate=3e-4.
+    policy.begin_with= leaves that key out."""
     algorithm: Annotated[Learner | None, option("NAME")] = None
     """Another learner than that of the preset or file, with a network that it can train. policy-gradient: the paper's,
     through the differentiable simulation. actor-critic: PPO on full noisy episodes under the real filter. ppo: the

@@ -15,7 +15,8 @@ TAGS = ("kind", "shape", "algorithm")
 def with_changes(experiment: Experiment, changes: Sequence[str]) -> Experiment:
     """Apply changes "KEY=VALUE", with the key as in a TOML file of tables, and a value as there.
 
-    Quotes around a text may be left out. Raises InputError as for a TOML file with these changes.
+    Quotes around a text may be left out; "KEY=" leaves out a key that need not be there. Raises InputError as for a TOML
+    file with these changes.
     """
     table = to_table(experiment)
     parted = [_parted(change) for change in changes]
@@ -31,6 +32,8 @@ def _parted(change: str) -> tuple[list[str], Any]:
     keys = [part.strip() for part in key.split(".")]
     if not equals or not all(keys):
         raise InputError(f"--set {change}: expected KEY=VALUE, as scenario.view.depth_m=5")
+    if not text.strip():
+        return keys, None
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
