@@ -15,8 +15,8 @@ TAGS = ("kind", "shape", "algorithm")
 def with_changes(experiment: Experiment, changes: Sequence[str]) -> Experiment:
     """Apply changes "KEY=VALUE", with the key as in a TOML file of tables, and a value as there.
 
-    Quotes around a text may be left out; "KEY=" leaves out a key that need not be there. Raises InputError as for a TOML
-    file with these changes.
+    Quotes around a text may be left out; "KEY=" leaves out a key that need not be there. Raises InputError as for a
+    TOML file with these changes.
     """
     table = to_table(experiment)
     parted = [_parted(change) for change in changes]
