@@ -67,12 +67,23 @@ def test_a_world_is_an_experiment_that_can_be_simulated(name):
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_networks_and_learners_of_a_world_are_the_defaults(name):
-    """But for the objective, which belongs to the world, and rays among obstacles."""
+    """But for the objective, which belongs to the world, and rays among obstacles.
+
+    Robots with assigned targets begin with the weights of a preset, and train in small steps.
+    """
     experiment = load_toml(Experiment, WORLDS[name])
-    training, policy = experiment.training, experiment.policy
-    assert training == ActorCriticSettings(algorithm="actor-critic", objective=training.objective)
+    training, policy, changed = experiment.training, experiment.policy, {}
     among_obstacles = experiment.scenario.obstacles is not None
-    assert policy == PointerSettings(kind="pointer", rays=policy.rays)
+    settings = PointerSettings(kind="pointer", rays=policy.rays)
+    if policy.assignment is not None:
+        assert experiment.scenario.team is not None
+        assert policy.begin_with == ("rooms" if among_obstacles else "any")
+        parts = "assignment", "begin_with", "clips_features", "dynamic_window"
+        settings = replace(settings, **{part: getattr(policy, part) for part in parts})
+        changed = {part: getattr(training, part) for part in ("epochs", "learning_rate", "action_std")}
+    expected = ActorCriticSettings(algorithm="actor-critic", objective=training.objective)
+    assert training == replace(expected, **changed)
+    assert policy == settings
     assert (policy.rays > 0) == among_obstacles
 
 

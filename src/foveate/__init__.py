@@ -69,7 +69,7 @@ _HOMES = {
     "Planned": "study.methods",
     "planner": "deploy.untrained",
     "PlanSettings": "planning.shooting",
-    "PointerSettings": "policies.pointer",
+    "PointerSettings": "policies.pointer_settings",
     "Policy": "simulation.records",
     "PolygonView": "scenario.field_of_view",
     "PPOSettings": "experiment.learners",
