@@ -132,7 +132,7 @@ def _trained(
         if outcome.stopped:
             warnings.warn(f"{name}: the training stopped early: {outcome.stopped}", stacklevel=3)
         if verdict and (run / BEST).exists() and (judged := judge_run(run, quiet=not progress)).unbeaten:
-            how = "train for more epochs or with another seed, or evaluate foveate.plan with this run and refine=15"
+            how = "train for more epochs or another seed; for one robot try foveate.plan with this run and refine=15"
             warnings.warn(f"{name}: {' '.join(judged.sentences)} To continue, {how}", stacklevel=3)
         return replace(load(run), name=name)
 
