@@ -62,17 +62,17 @@ def play_team(
     told = jax.vmap(lambda seen, memory: policy.tokens(policy.shown(seen, memory)[0]))
     after = told(observed(last, following), memory)
     tokens = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), sample.tokens, after)
-    before, what = jnp.mean(log_det_spd(state.central.information), axis=0), (discounted, whole)
+    before = jnp.mean(log_det_spd(state.central.information), axis=0)
     has_own = isinstance(policy, AssignedPointer) and gospa is None
     number, steps = first_step + jnp.arange(len(log_det)), episode.horizon.astype(log_det.dtype)
     if gospa is not None:
         reward = -gospa / (steps if whole else 1.0)
     elif has_own:
-        reward = own_rewards(
-            log_det, visible, before, shown, steps - number.astype(steps.dtype), steps, objective, *what
-        )
+        left = steps - number.astype(steps.dtype)
+        reward = own_rewards(log_det, visible, before, shown, left, steps, objective, discounted, whole)
     else:
-        reward = rewards(log_det, visible, per_target(before, episode.present), episode, objective, *what)
+        first = per_target(before, episode.present)
+        reward = rewards(log_det, visible, first, episode, objective, discounted, whole)
     counts = number < ends
     reward = jnp.where(counts, jnp.broadcast_to(reward, (shown.shape[1], len(counts))), 0.0)
     everything = None if has_own else as_one_set(tokens)
