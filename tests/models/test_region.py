@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from foveate.geometry.space import SPACES
-from foveate.models.region import Region, share_clear
+from foveate.models.bodies import Bodies, share_clear
+from foveate.models.region import Region
 from foveate.scenario.agent import FreeBody
 from foveate.scenario.field_of_view import ConeView
 from foveate.scenario.region import RegionSettings
@@ -47,32 +48,6 @@ def test_a_way_that_begins_outside_may_only_lead_inwards():
     box = region(2)
     assert box.share_inside(jnp.array([5.0, 2.0]), jnp.array([6.0, 2.0])) == 0.0
     assert box.share_inside(jnp.array([5.0, 2.0]), jnp.array([2.0, 3.0])) == 1.0
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_a_way_ends_where_a_fine_walk_along_it_comes_too_near(d):
-    before, after = ways(200, d)
-    rng = np.random.default_rng(7)
-    points = (before + rng.uniform(size=(200, 1)) * (after - before))[:, None] + rng.normal(0, 1.5, (200, 3, d))
-    exist, distance = rng.uniform(size=(200, 3)) < 0.7, 0.8
-    apart = np.linalg.norm(before[:, None] - points, axis=-1)
-    exist &= apart > distance
-    walk = before[:, None] + SHARES[:, None] * (after - before)[:, None]
-    gaps = np.linalg.norm(walk[:, :, None] - points[:, None], axis=-1)
-    near = ((gaps < distance) & exist[:, None]).any(axis=-1)
-    expected = np.where(near.any(axis=1), SHARES[near.argmax(axis=1)], 1.0)
-    clear = jax.jit(jax.vmap(lambda *each: share_clear(*each, jnp.asarray(distance))))
-    found = clear(before, after, points, exist)
-    np.testing.assert_allclose(found, expected, atol=1e-3)
-    assert 25 < near.any(axis=1).sum() < 175, "else one of the cases is not tested"
-
-
-def test_too_near_a_point_a_way_may_only_lead_away():
-    point, exist, distance = jnp.zeros((1, 2)), jnp.ones(1, bool), jnp.asarray(1.0)
-    start = jnp.array([0.5, 0.0])
-    for end, share in (([0.4, 0.0], 0.0), ([0.4, 2.0], 0.0), ([0.5, 2.0], 1.0), ([3.0, 0.0], 1.0), ([0.5, 0.0], 1.0)):
-        assert share_clear(start, jnp.array(end), point, exist, distance) == share, end
-    assert share_clear(start, jnp.array([0.4, 0.0]), jnp.zeros((0, 2)), jnp.ones(0, bool), distance) == 1.0
 
 
 def test_gradients_of_a_stopped_way_are_those_of_differences():
@@ -144,14 +119,14 @@ def test_a_stopped_body_turns_as_commanded():
     pose = space.upright(jnp.array([2.5, 0.0, 0.0]), jnp.asarray(0.3))
     action, nobody = jnp.array([1.0, 0.2, -0.4]), jnp.zeros(1, bool)
     free = problem.agent.move(pose, action, problem.tau)
-    found = problem.move(pose, action, jnp.zeros((1, 3)), nobody)
+    found = problem.move(pose, action, Bodies(jnp.zeros((1, 3)), nobody))
     np.testing.assert_array_equal(found[:3, :3], free[:3, :3])
     way, part = free[:3, 3] - pose[:3, 3], found[:3, 3] - pose[:3, 3]
     np.testing.assert_allclose(np.cross(way, part), 0, atol=1e-12)
     assert found[0, 3] == pytest.approx(3.0, abs=1e-12)
     target = jnp.asarray(pose[:3, 3] + 0.8 * way)[None]
-    before_it = problem.move(pose, action, target - jnp.array([0.0, 0.0, 0.9]), jnp.ones(1, bool))
+    before_it = problem.move(pose, action, Bodies(target - jnp.array([0.0, 0.0, 0.9]), jnp.ones(1, bool)))
     assert np.linalg.norm(before_it[:3, 3] - target[0] + np.array([0.0, 0.0, 0.9])) >= 1.0 - 1e-9
     inside = space.upright(jnp.zeros(3), jnp.asarray(0.3))
-    unstopped = problem.move(inside, action, jnp.full((1, 3), 2.0), jnp.ones(1, bool))
+    unstopped = problem.move(inside, action, Bodies(jnp.full((1, 3), 2.0), jnp.ones(1, bool)))
     np.testing.assert_array_equal(unstopped, problem.agent.move(inside, action, problem.tau))

@@ -111,7 +111,7 @@ def test_in_a_scenario_that_keeps_off_no_action_leads_too_near():
     @jax.vmap
     def move(pose, action):
         short = problem.kept_off(pose, action)
-        return problem.move(pose, action, None, jnp.zeros(0, bool)), problem.agent.control(short)
+        return problem.move(pose, action, None), problem.agent.control(short)
 
     nearest, stopped = [], 0
     for _ in range(4):

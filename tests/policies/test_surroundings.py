@@ -58,7 +58,7 @@ def test_ranges_and_lines_of_sight_are_those_of_shapely(observation):
 def test_the_first_mode_aims_along_the_way(observation):
     aim = tokens(observation, "mean", True, rays=RAYS).aim
     problem = SCENARIO.problem()
-    action = jax.jit(jax.vmap(lambda place: steer_to(problem, jnp.asarray(POSE), place, 2.0)))
+    action = jax.jit(jax.vmap(lambda place: steer_to(problem, jnp.asarray(POSE), place, 2.0, None)))
     expected = np.asarray(action(jnp.asarray(TARGETS)))
     np.testing.assert_allclose(np.asarray(aim)[:, list(problem.agent.axes)], expected, atol=1e-5)
     blind = tokens(observation, "mean", True)

@@ -13,9 +13,10 @@ from foveate.errors import InputError
 from foveate.geometry import sight
 from foveate.geometry.space import Space
 from foveate.models.agent import Agent
+from foveate.models.bodies import Bodies, share_clear
 from foveate.models.detections.records import DetectionModel
 from foveate.models.obstacles import Obstacles
-from foveate.models.region import Region, share_clear
+from foveate.models.region import Region
 from foveate.models.sensor import Sensor
 from foveate.models.target import LinearGaussian
 from foveate.models.team import Team
@@ -57,16 +58,14 @@ class Problem(eqx.Module):
     detections: DetectionModel | None = None
     team: Team | None = None
 
-    def move(
-        self, pose: Pose, action: Action, positions_world: Float[Array, "n d"] | None, present: Bool[Array, " n"]
-    ) -> Pose:
-        """The pose after one action, which borders and obstacles may end and, with their positions, targets, too."""
+    def move(self, pose: Pose, action: Action, bodies: Bodies | None) -> Pose:
+        """The pose after one action, which borders and obstacles may end, and bodies that the agent keeps off."""
         action = self.kept_off(pose, action)
         after = self.agent.move(pose, action, self.tau)
         if self.bounds_agent:
             after = self.within_region(pose, after)
-        if positions_world is not None:
-            after = self.clear_of(pose, after, positions_world, present)
+        if bodies is not None:
+            after = self.clear_of(pose, after, bodies)
         if self.obstacles is not None:
             after, _ = self.among_obstacles(pose, action, after)
         return after
@@ -141,13 +140,13 @@ class Problem(eqx.Module):
         start, end = self._ends(before, after)
         return self._stopped(before, after, self.region.share_inside(start, end))
 
-    def clear_of(
-        self, before: Pose, after: Pose, positions_world: Float[Array, "n d"], present: Bool[Array, " n"]
-    ) -> Pose:
-        """The pose after a step that ends `keep_off_m` before the first of the present targets in its way."""
+    def clear_of(self, before: Pose, after: Pose, bodies: Bodies) -> Pose:
+        """The pose after a step that ends `keep_off_m` before the first body in its way."""
         assert self.keep_off_m is not None, "for problems with a distance to keep"
         start, end = self._ends(before, after)
-        return self._stopped(before, after, share_clear(start, end, positions_world, present, self.keep_off_m))
+        return self._stopped(
+            before, after, share_clear(start, end, bodies.positions_world, bodies.present, self.keep_off_m)
+        )
 
     def among_obstacles(self, before: Pose, action: Action, after: Pose) -> tuple[Pose, Flag]:
         """The pose after an action that led from `before` to `after`, ended at the first contact, and true for one.

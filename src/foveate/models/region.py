@@ -1,4 +1,4 @@
-"""A region with borders that agent and targets keep, and the distance that the agent keeps from targets.
+"""A region with borders that agent and targets keep.
 
 The agent's position moves from the start of a step to its end on a straight line, and stops at the first contact; its
 turn is not affected. Targets follow their own motion, and are put back at the end of a step that has crossed a border.
@@ -8,7 +8,7 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from foveate.types import Point, Scalar
 
@@ -48,20 +48,3 @@ class Region(eqx.Module):
             return jnp.where(outwards, -e * values, values)
 
         return inside, *map(turned, derivatives)
-
-
-def share_clear(
-    before: Point, after: Point, obstacles: Float[Array, "n d"], exist: Bool[Array, " n"], distance_m: Scalar
-) -> Scalar:
-    """Share of the way from `before` to `after` until it is within `distance_m` [m] of a point, approaching it.
-
-    With q = before - point and way w, |q + t w| = d first at t = (q.q - d^2) / (-q.w + sqrt((q.w)^2 - w.w (q.q -
-    d^2))). A way that begins too near may only lead away.
-    """
-    way, q = after - before, before - obstacles
-    approach = -jnp.sum(q * way, axis=-1)
-    room = jnp.maximum(jnp.sum(q**2, axis=-1) - distance_m**2, 0.0)
-    square = approach**2 - jnp.sum(way**2) * room
-    touches = exist & (approach > 0) & (square > 0)
-    until = room / jnp.where(touches, approach + jnp.sqrt(jnp.where(touches, square, 1.0)), 1.0)
-    return jnp.min(jnp.where(touches & (until < 1.0), until, 1.0), initial=1.0)

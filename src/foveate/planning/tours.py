@@ -55,19 +55,19 @@ def _tour(problem: Problem, future: Future, standoff_m: Scalar, key: Key) -> Flo
     preference = jnp.exp(PREFERENCE_STD * jax.random.normal(preference_key, (targets,)))
     dwell = jax.random.randint(dwell_key, (), 1, MAX_DWELL + 1)
 
-    def step(carry, state):
+    def step(carry, now):
         pose, looks = carry
+        state, bodies = now
         positions_world = problem.motion.position(state)
         points_body = agent.space.to_body(pose, positions_world)
         distance = preference * jnp.sqrt(jnp.sum(points_body**2, axis=-1))
         rounds = jnp.where(future.present, looks // dwell, len(future.state))
         distance = jnp.where(rounds == jnp.min(rounds), distance, jnp.inf)
-        action = steer_to(problem, pose, positions_world[jnp.argmin(distance)], standoff_m)
-        obstacles = None if problem.keep_off_m is None else positions_world
-        pose = problem.move(pose, action, obstacles, future.present)
+        action = steer_to(problem, pose, positions_world[jnp.argmin(distance)], standoff_m, bodies)
+        pose = problem.move(pose, action, bodies)
         seen = problem.sees(pose, positions_world)
         return (pose, jnp.where(seen, looks + 1, looks)), action
 
-    action = jax.lax.scan(step, (future.pose, jnp.zeros(targets, int)), future.state)[1]
+    action = jax.lax.scan(step, (future.pose, jnp.zeros(targets, int)), (future.state, future.in_the_way(problem)))[1]
     raw = jnp.arctanh(jnp.clip(action, -MAX_START_ACTION, MAX_START_ACTION))
     return raw + RAW_ACTION_STD * jax.random.normal(noise_key, raw.shape)

@@ -127,7 +127,7 @@ def own_share(problem: Problem, rule: Assignment, observation: Observation, befo
     if rule == "auction":  # its claims are bids; the policy expects 1 for a target that a robot goes for
         team = replace(team, claims=chosen.astype(cost.dtype))
     shown = jnp.where(targets.any(), targets, observation.present)
-    return replace(observation, present=shown, team=team), Share(targets, bids)
+    return replace(observation, present=shown, team=team, blocking=observation.present), Share(targets, bids)
 
 
 def _costs(problem: Problem, rule: Assignment, observation: Observation, team: TeamView) -> Float[Array, "M n"]:

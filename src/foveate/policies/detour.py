@@ -2,9 +2,11 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from foveate.models.bodies import Bodies, aim_past
 from foveate.models.problem import Problem
 from foveate.policies.steering import steer
 from foveate.types import Action, Point, Pose, Scalar
@@ -50,12 +52,33 @@ def unfold(
     return Unfolded(jnp.where(is_straight[:, None], points_body, bent), rest, is_straight)
 
 
-def steer_to(problem: Problem, pose: Pose, point_world: Point, standoff_m: Scalar | float) -> Action:
-    """The action that leads to a place [m] and ends `standoff_m` [m] before it, around the obstacles of the map."""
-    if problem.obstacles is None:
-        return steer(problem.agent, problem.tau, problem.agent.space.to_body(pose, point_world), standoff_m)
+def past_bodies(
+    problem: Problem, pose: Pose, points_body: Float[Array, "n d"], rest: Float[Array, " n"], bodies: Bodies | None
+) -> Float[Array, "n d"]:
+    """Where to aim so that straight ways to points [m], up to `rest` [m] before them, lead past bodies."""
+    if bodies is None or problem.keep_off_m is None:
+        return points_body
+    bodies_body, radius_m = (
+        problem.agent.space.to_body(pose, bodies.positions_world),
+        bodies.radius_m(problem.keep_off_m),
+    )
+
+    def past(point_body: Point, rest: Scalar) -> Point:
+        return aim_past(point_body, rest, bodies_body, bodies.present, radius_m)
+
+    return jax.vmap(past)(points_body, rest)
+
+
+def steer_to(
+    problem: Problem, pose: Pose, point_world: Point, standoff_m: Scalar | float, bodies: Bodies | None
+) -> Action:
+    """The action that leads to a place [m] and ends `standoff_m` [m] before it.
+
+    It leads around the obstacles of the map, and past bodies that the agent keeps off.
+    """
     way = unfolded(problem, pose, point_world[None], standoff_m)
-    return steer(problem.agent, problem.tau, way.points_body[0], way.rest[0])
+    aim = past_bodies(problem, pose, way.points_body, way.rest, bodies)
+    return steer(problem.agent, problem.tau, aim[0], way.rest[0])
 
 
 def reachable(problem: Problem, points_world: Float[Array, "n d"]) -> Float[Array, "n d"]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from foveate.geometry.linalg import log_det_spd
 from foveate.models.problem import Problem
 from foveate.policies.detour import reachable, steer_to, unfolded
+from foveate.simulation.bodies import bodies_of
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point
 
@@ -45,7 +46,7 @@ def here(problem: Problem, observation: Observation) -> Problem:
 class Steering(Policy):
     """Turns to a goal and stops `standoff_m` [m] before it; subclasses choose the goal.
 
-    Among obstacles it drives around them, on the shortest way of the agent's body.
+    Among obstacles it drives around them, on the shortest way of the agent's body, and past bodies that it keeps off.
     """
 
     problem: Problem
@@ -59,7 +60,8 @@ class Steering(Policy):
         """Steer to the goal; stop if none exists."""
         goal_world, exists, memory = self.goal(observation, memory)
         problem, agent = here(self.problem, observation), self.problem.agent
-        action = steer_to(problem, observation.pose, goal_world, self.standoff_m)
+        bodies = bodies_of(problem, observation)
+        action = steer_to(problem, observation.pose, goal_world, self.standoff_m, bodies)
         return jnp.where(exists, action, agent.action(jnp.zeros_like(agent.lower))), memory
 
 

@@ -114,7 +114,7 @@ def _way(problem: Problem, pose: Pose, goal: Point, steps: int) -> tuple[Float[A
 
     def step(pose, _):
         action = steer(agent, problem.tau, agent.space.to_body(pose, goal), 0.0)
-        after = problem.move(pose, action, None, jnp.zeros(0, bool))
+        after = problem.move(pose, action, None)
         return after, (after, action)
 
     poses, actions = jax.lax.scan(step, pose, None, steps)[1]

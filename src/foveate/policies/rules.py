@@ -11,6 +11,7 @@ from foveate.models.problem import Problem
 from foveate.policies.detour import reachable, steer_to, unfolded
 from foveate.policies.heuristics import Steering, box_of, here
 from foveate.policies.steering import steps_to_view, twist_towards
+from foveate.simulation.bodies import bodies_of
 from foveate.simulation.records import Observation, Policy
 from foveate.types import Action, Flag, Key, Point
 
@@ -91,5 +92,6 @@ class Post(Policy):
             return turn, memory
         place_body = space.to_body(observation.pose, memory)
         away = jnp.linalg.norm(place_body) > ARRIVED * self.depth_m
-        action = steer_to(here(self.problem, observation), observation.pose, memory, 0.0)
+        bodies = bodies_of(self.problem, observation)
+        action = steer_to(here(self.problem, observation), observation.pose, memory, 0.0, bodies)
         return jnp.where(away, action, turn), memory

@@ -5,7 +5,8 @@ from jaxtyping import Array, Float
 
 from foveate.geometry.sight import fan
 from foveate.models.robot import Robot, Surroundings
-from foveate.policies.detour import unfold
+from foveate.policies.detour import past_bodies, unfold
+from foveate.simulation.bodies import bodies_of
 from foveate.simulation.records import Observation
 from foveate.types import Scalar
 
@@ -40,11 +41,14 @@ def ways_of(
     """Where the steering law aims for targets [m], how far before that it ends [m], and the features of obstacles.
 
     Among obstacles it aims along the ways, which are unfolded. Without rays it aims at the targets, without features.
+    In both cases past bodies that the agent keeps off.
     """
     depth, count = robot.extent.ahead_m, position_body.shape[0]  # not len(): an exported file has any number
+    problem, bodies = robot.problem, bodies_of(robot.problem, observation)
     if rays == 0:
-        return position_body, jnp.broadcast_to(standoff_m, count), []
-    space = robot.problem.agent.space
+        rest = jnp.broadcast_to(standoff_m, count)
+        return past_bodies(problem, observation.pose, position_body, rest, bodies), rest, []
+    space = problem.agent.space
     around = surroundings(observation, robot, space.to_world(observation.pose, position_body), rays, standoff_m)
     place_body = space.to_body(observation.pose, around.place_world)
     way = unfold(position_body, place_body, around.length, around.is_straight, standoff_m)
@@ -52,7 +56,7 @@ def ways_of(
     ranges = jnp.log(jnp.clip(around.ranges / depth, 0.0, RANGE_DEPTHS) + NEAR)
     seen = around.is_seen.astype(depth.dtype)[:, None]
     features = [place_features(way.points_body / depth), seen, jnp.broadcast_to(ranges, (count, rays))]
-    return way.points_body, way.rest, features
+    return past_bodies(problem, observation.pose, way.points_body, way.rest, bodies), way.rest, features
 
 
 def ways_size(dimension: int, rays: int) -> int:

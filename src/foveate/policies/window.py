@@ -114,12 +114,11 @@ def _steering(
     """Actions that steer to a target where it is predicted to be [m]."""
 
     def step(pose, now):
-        state, point_world = now
-        action = steer_to(problem, pose, point_world, standoff_m)
-        obstacles = None if problem.keep_off_m is None else problem.motion.position(state)
-        return problem.move(pose, action, obstacles, future.present), action
+        point_world, bodies = now
+        action = steer_to(problem, pose, point_world, standoff_m, bodies)
+        return problem.move(pose, action, bodies), action
 
-    return jax.lax.scan(step, future.pose, (future.state, path_world))[1]
+    return jax.lax.scan(step, future.pose, (path_world, future.in_the_way(problem)))[1]
 
 
 def told_window(tokens: Tokens, observation: Observation, tells_time: bool) -> Tokens:

@@ -12,10 +12,12 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.geometry.linalg import inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.models import belief
+from foveate.models.bodies import Bodies
 from foveate.models.polar_filter import MAX_STD_PER_RANGE
 from foveate.models.problem import Problem
 from foveate.models.sensor import Softness, detection_weight
 from foveate.models.target import LinearGaussian
+from foveate.simulation.bodies import bodies_along
 from foveate.simulation.records import Observation, per_target
 from foveate.types import Count, Pose, Scalar
 
@@ -25,7 +27,8 @@ class Future(eqx.Module):
 
     `state` holds the targets' states after each step, `information` the P_1 predicted for the first. Only the first
     `horizon` steps count. `map_number` is that of the map among obstacles. `mates` is the information about each target
-    that the other robots of a team are expected to add in a step.
+    that the other robots of a team are expected to add in a step. `bodies` are those in the agent's way along the
+    future, where it keeps off any; None: the present targets.
     """
 
     pose: Pose
@@ -35,6 +38,14 @@ class Future(eqx.Module):
     horizon: Count
     map_number: Count | None = None
     mates: Float[Array, "n n_y n_y"] | None = None
+    bodies: Bodies | None = None
+
+    def in_the_way(self, problem: Problem) -> Bodies | None:
+        """The bodies at every step that the agent keeps off; None where it keeps no distance."""
+        if problem.keep_off_m is None or self.bodies is not None:
+            return self.bodies
+        present = jnp.broadcast_to(self.present, self.state.shape[:2])
+        return Bodies(problem.motion.position(self.state), present)
 
 
 def believed_future(
@@ -48,7 +59,8 @@ def believed_future(
     states = jax.lax.scan(advance, observation.mean, None, window)[1]
     steps = jnp.minimum(horizon, window)
     beliefs = observation.information, observation.present
-    return Future(observation.pose, states, *beliefs, steps, map_number=observation.map_number)
+    bodies = bodies_along(problem, observation, states)
+    return Future(observation.pose, states, *beliefs, steps, map_number=observation.map_number, bodies=bodies)
 
 
 def score(problem: Problem, future: Future, action: Float[Array, "K m"], level: Softness | None) -> Scalar:
@@ -137,11 +149,9 @@ def _looks(
         raise InputError("the scenario has a schedule: planners need steps of one kind: leave [schedule] out")
     problem = problem.of_map(future.map_number)
     agent, sensor, obstacles = problem.agent, problem.sensor, problem.obstacles
-    kept_off = None if problem.keep_off_m is None else problem.motion.position(future.state)
 
     def move(pose, step):
-        action, positions_world = step
-        pose = problem.move(pose, action, positions_world, future.present)
+        pose = problem.move(pose, *step)
         return pose, pose
 
     def look(pose, state):
@@ -156,7 +166,7 @@ def _looks(
             weight = weight * obstacles.weight(agent.space.position(pose), positions_world, level)
         return gain, weight, points_body
 
-    poses = jax.lax.scan(move, future.pose, (action, kept_off))[1]
+    poses = jax.lax.scan(move, future.pose, (action, future.in_the_way(problem)))[1]
     return jax.vmap(look)(poses, future.state)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
+from foveate.models.bodies import Bodies
 from foveate.models.problem import Problem
 from foveate.simulation.draft import Draft, noise_covariance, positions_body
 from foveate.simulation.records import Protocol
@@ -40,7 +41,7 @@ def keep_off_targets(problem: Problem, protocol: Protocol, draft: Draft) -> Draf
     if mates_world is not None:
         positions_world = jnp.concatenate([positions_world, mates_world])
         present = jnp.concatenate([present, jnp.ones(len(mates_world), bool)])
-    return _at(draft, problem.clear_of(draft.predicted.pose, draft.state.pose, positions_world, present))
+    return _at(draft, problem.clear_of(draft.predicted.pose, draft.state.pose, Bodies(positions_world, present)))
 
 
 def stop_at_obstacles(problem: Problem, protocol: Protocol, draft: Draft) -> Draft:

@@ -91,8 +91,9 @@ class Observation(eqx.Module):
     """Probability that a target exists, of each entry; None where that is certain."""
     undetected: Float[Array, "*cells"] | None = None
     """Expected number of targets never detected in each cell of the grid of detections without ids; None with ids."""
-    team: TeamView | None = None
-    """What a robot knows of its team; None of a single robot."""
+    team: TeamView | None = None  # None of a single robot
+    blocking: Bool[Array, " n"] | None = None
+    """Entries that it keeps its distance from, where it has one to keep; None: those present."""
 
     @property
     def map_number(self) -> Count | None:
