@@ -92,7 +92,7 @@ class Observation(eqx.Module):
     undetected: Float[Array, "*cells"] | None = None
     """Expected number of targets never detected in each cell of the grid of detections without ids; None with ids."""
     team: TeamView | None = None  # None of a single robot
-    blocking: Bool[Array, " n"] | None = None  # entries that it keeps off, if it keeps any distance; None: those present
+    blocking: Bool[Array, " n"] | None = None  # entries that it keeps off; None: those present
 
     @property
     def map_number(self) -> Count | None:
