@@ -9,6 +9,9 @@ from foveate.models.bodies import Bodies
 from foveate.models.problem import Problem
 from foveate.simulation.records import Observation
 
+LEAST_M2 = 1e-12
+"""Least variance of a position [m^2]."""
+
 MATE_STEPS = 3
 """A mate not heard of for more steps may be anywhere."""
 
@@ -33,7 +36,9 @@ def _with_mates(problem: Problem, observation: Observation, mean: Float[Array, "
     # Padding may hold anything.
     information = jnp.where(present[:, None, None], observation.information, problem.prior_information)
     covariance = multiply(multiply(problem.motion.Z, inverse_spd(information)), problem.motion.Z.T)
-    std_m = jnp.sqrt(jnp.trace(covariance, axis1=-2, axis2=-1) / positions_world.shape[-1])
+    # In single precision the inverse of a sharp belief may have a negative diagonal.
+    variance = jnp.maximum(jnp.trace(covariance, axis1=-2, axis2=-1) / positions_world.shape[-1], LEAST_M2)
+    std_m = jnp.sqrt(variance)
     if team is None:
         return Bodies(positions_world, present, std_m)
     mates_world = jax.vmap(problem.agent.space.position)(team.pose)
