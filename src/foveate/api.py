@@ -156,7 +156,7 @@ def evaluate(
     Args:
         policy: Trained policy, run folder, name of a preset, or your own `foveate.Policy` with its `scenario`; or a
             list, whose members run in the scenario of the first, each as a method of its own name.
-        scenes: File, list, "table1" (the paper's; default in the plane), or "own" (of the scenario; default in space).
+        scenes: File, list, "table1" (default where the scenario's are the paper's), or "own" (of the scenario).
         method: "policy", "random", "still", "nearest", "uncertain", "lawnmower", "price", "window", "post", several, or
             "all"; where detections have no ids, also "explore", "alternate", "lookahead"; in a team also NAME+RULE,
             with targets assigned by "greedy", "hungarian" or "auction".

@@ -11,9 +11,10 @@ from foveate.errors import InputError
 from foveate.experiment.experiment import Experiment
 from foveate.experiment.learners import ActorCriticSettings
 from foveate.experiment.presets import ACTOR_CRITIC, PAN, PRESETS, QUADROTOR, for_scenario
-from foveate.experiment.resolve import in_scenario, subject_of
+from foveate.experiment.resolve import in_scenario, scenes_of, subject_of
 from foveate.io.toml import save_toml
 from foveate.policies.pointer_settings import PointerSettings
+from foveate.scenario.field_of_view import SectorView
 from foveate.scenario.scenario import Scenario
 from foveate.scenario.scenes import SceneSettings
 
@@ -79,3 +80,25 @@ def test_a_scenario_is_trained_like_any_from_its_weights():
     assert isinstance(experiment.training, ActorCriticSettings)
     assert experiment.training.epochs < ACTOR_CRITIC.epochs
     assert experiment.training.worlds == "own"
+
+
+ELSEWHERE = replace(PAN, scenes=replace(PAN.scenes, targets_max=5))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "expected"),
+    [
+        (PRESETS["true-view"].scenario, "table1"),
+        (PRESETS["search"].scenario, "table1"),  # only its first beliefs differ
+        (Scenario(view=SectorView(depth_m=5.0)), "table1"),
+        (PAN, "own"),
+        (ELSEWHERE, "own"),
+        (QUADROTOR, "own"),
+        (PRESETS["rooms"].scenario, "own"),
+    ],
+)
+def test_scenes_are_those_of_the_scenario_unless_they_are_the_papers(scenario, expected):
+    name, scenes = scenes_of(None, 2023, Experiment(scenario=scenario))
+    assert name == expected
+    if expected == "own" and scenario.dimension == 2:
+        assert max(len(scene.targets) for scene in scenes) == scenario.scenes.targets_max

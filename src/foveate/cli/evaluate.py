@@ -26,7 +26,7 @@ class Evaluate(Command):
     all run in the scenario of the first."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
     """Scenes file; table1: the paper's six cells of 30 scenes; own: 30 scenes for each of three numbers of targets from
-    the scenario's distribution, not used in training (default: table1 in the plane, own in space)."""
+    the scenario's distribution, not used in training (default: table1 if that is the paper's, else own)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own; the default gives the paper's table 1."""
     protocol: Literal["surrogate", "true", "both"] = "both"

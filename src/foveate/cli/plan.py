@@ -25,7 +25,7 @@ class Plan(Command):
     """
 
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
-    """Scenes file, table1 or own, as for `foveate evaluate` (default: table1 in the plane, own in space)."""
+    """Scenes file, table1 or own (default: table1 if the scenario's are the paper's, else own)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own; the default gives the paper's table 1."""
     preset: Annotated[str | None, option("NAME")] = None

@@ -25,7 +25,7 @@ class Render(Command):
     scene: Annotated[tuple[str, ...], option("ID ..")] = ()
     """Scenes to draw (default: the last of each number of targets; for an animation the last of all)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
-    """Scenes file, table1 or own (default: table1 in the plane, own in space)."""
+    """Scenes file, table1 or own (default: table1 if the scenario's are the paper's, else own)."""
     scene_seed: int = 2023
     """Seed of the scenes of table1 or own."""
     protocol: ProtocolName = "true"

@@ -23,7 +23,7 @@ class View(ReadingCommand):
     run: Annotated[tyro.conf.Positional[str], option("RUN|PRESET|FILE.onnx")]
     """Run folder, exported file (.onnx), or name of a preset (its trained policy comes with the package)."""
     scenes: Annotated[str | None, option("FILE|table1|own")] = None
-    """Scenes file, table1 or own (default: table1 in the plane, own in space)."""
+    """Scenes file, table1 or own (default: table1 if the scenario's are the paper's, else own)."""
     recording: Annotated[Path | None, option("RECORDING")] = None
     """Recording of real targets, in place of scenes: any file that `foveate replay` reads."""
     start: Annotated[float | None, option("SECONDS")] = None

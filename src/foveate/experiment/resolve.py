@@ -23,7 +23,7 @@ from foveate.policies.pointer import PointerPolicy
 from foveate.policies.pointer_settings import PointerSettings
 from foveate.policies.tokens import token_size
 from foveate.scenario.scenario import Scenario
-from foveate.scenario.scenes import Scene, checked, read_scenes
+from foveate.scenario.scenes import Scene, SceneSettings, checked, read_scenes
 from foveate.simulation.records import Policy
 from foveate.simulation.suites import own_suite, table1
 
@@ -219,12 +219,14 @@ def methods_of(method: str | Sequence[str], has_ids: bool = True) -> tuple[str, 
 def scenes_of(scenes: Name | Sequence[Scene] | None, seed: int, experiment: Experiment) -> tuple[str, list[Scene]]:
     """Resolve a list, a scenes file, table1, or own (the experiment's distribution) to a name and scenes.
 
-    None is table1 in the plane, own in space and among obstacles.
+    None is table1 in the plane without obstacles where the scenario's scenes are the paper's, else own.
     """
     problem, settings = experiment.scenario.problem(), experiment.scenario.scenes
     planar = experiment.scenario.dimension == 2
     if scenes is None:
-        scenes = "table1" if planar and problem.obstacles is None else "own"
+        # The paper's beliefs at the start are a choice of their own: a policy trained for others is judged there, too.
+        like_paper = replace(settings, initial_error=SceneSettings.initial_error) == SceneSettings()
+        scenes = "table1" if planar and problem.obstacles is None and like_paper else "own"
     if not isinstance(scenes, Name):
         return "scenes", checked(scenes, problem.agent.space, settings)
     name = str(scenes)
