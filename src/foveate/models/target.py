@@ -35,18 +35,18 @@ class LinearGaussian(eqx.Module):
 
     @classmethod
     def of(
-        cls, A: np.ndarray, B: np.ndarray, W: np.ndarray, Z: np.ndarray, gains: Sequence[np.ndarray] | None = ()
+        cls, A: np.ndarray, B: np.ndarray, W: np.ndarray, Z: np.ndarray, gains: Sequence[np.ndarray] = ()
     ) -> "LinearGaussian":
         """The motion of these matrices, which says by their values whether it is reversible.
 
         It is not if measurements with these `gains` H^T V^-1 H (n_y, n_y) are much finer than its noise: a reversed
         prediction subtracts what the noise takes from what the measurement told, which in float32 is off by some 1e-7
-        times the square of the ratio. None is for measurements without a limit, as bearings near by have none.
+        times the square of the ratio.
         """
         A, size = np.asarray(A), len(A)
         # Positions alone lose no digits by two inverses, which for them cost less.
         reversible = len(Z) < size <= LARGEST and not np.tril(A, -1).any() and np.diag(A).min() > MIN_DECAY
-        ratios = [np.inf] if gains is None else [float(np.linalg.eigvals(W @ gain).real.max()) for gain in gains]
+        ratios = [float(np.linalg.eigvals(W @ gain).real.max()) for gain in gains]
         parts = (jnp.asarray(part, float) for part in (A, B, W, Z))
         return cls(*parts, is_reversible=bool(reversible) and max(ratios, default=0.0) <= FINEST)
 
