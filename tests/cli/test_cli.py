@@ -442,7 +442,7 @@ def test_render_names_unsupported_input(stored: Path, tmp_path: Path, capsys: py
     gif = str(tmp_path / "x.gif")
     assert ".gif, .mp4, .png" in failure(capsys, "render", str(stored), "--out", str(tmp_path / "x.txt"))
     assert "no such scene" in failure(capsys, "render", str(stored), "--out", gif, "--scene", "nobody")
-    two = ("--scene", "biased-3-00", "biased-5-00")
+    two = ("--scenes", "table1", "--scene", "biased-3-00", "biased-5-00")
     assert "one scene" in failure(capsys, "render", str(stored), "--out", gif, *two)
     assert "--method all" in failure(capsys, "render", str(stored), "--out", gif, "--method", "all")
     assert not list(tmp_path.iterdir())

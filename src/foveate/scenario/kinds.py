@@ -13,6 +13,7 @@ from foveate.io.records import to_table
 from foveate.io.settings import Settings
 from foveate.io.validate import require
 from foveate.models.agent import Agent
+from foveate.models.polar import finest_gain
 from foveate.models.sensor import Sensor
 from foveate.models.team import Kinds
 from foveate.scenario.agent import AgentSettings, DifferentialDrive
@@ -71,6 +72,12 @@ class Kind:
             polar=settings.polar,
         )
         return Models(self.agent.agent(), sensor)
+
+    def finest_gain(self, H: np.ndarray, V: np.ndarray, keep_off_m: float | None) -> np.ndarray:
+        """H^T V^-1 H (n_y, n_y) of the finest measurement that is made often, by a robot that keeps off targets."""
+        if self.sensor.polar is None:
+            return H.T @ np.linalg.inv(V) @ H
+        return finest_gain(self.sensor.polar, V, H, float(self.view.depth_m), keep_off_m)
 
     def own(self, robot: RobotSettings) -> "Kind":
         """The kind of a robot that has tables of its own."""

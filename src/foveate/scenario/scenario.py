@@ -13,7 +13,6 @@ from foveate.geometry.space import SPACES
 from foveate.io.settings import Settings
 from foveate.io.validate import Matrix, matrix, positive, representable, require
 from foveate.models.obstacles import Obstacles
-from foveate.models.polar import finest_gain
 from foveate.models.problem import Problem, Schedule
 from foveate.models.target import LinearGaussian
 from foveate.scenario.agent import AgentSettings, DifferentialDrive
@@ -226,15 +225,9 @@ class Scenario(Settings):
     def _motion(self, tau_s: float, W: Matrix | None = None) -> LinearGaussian:
         A, B, own, Z = self.target.motion(self.dimension, tau_s)
         H, noise = self._observation(Z), own if W is None else np.asarray(W, float)
-
-        def gain(kind: Kind, V: np.ndarray) -> np.ndarray:
-            if kind.sensor.polar is None:
-                return H.T @ np.linalg.inv(V) @ H
-            return finest_gain(kind.sensor.polar, V, Z, float(kind.view.depth_m), self.keep_off_m)
-
-        noises = [(kind, kind.sensor.noise(len(H))) for kind in self.kinds]
-        noises += [(self.kinds[0], np.array(V)) for V in self.schedule.V]
-        return LinearGaussian.of(A, B, noise, Z, [gain(*each) for each in noises])
+        gains = [kind.finest_gain(H, kind.sensor.noise(len(H)), self.keep_off_m) for kind in self.kinds]
+        gains += [self.kinds[0].finest_gain(H, np.array(V), self.keep_off_m) for V in self.schedule.V]
+        return LinearGaussian.of(A, B, noise, Z, gains)
 
     def _schedule(self, V: np.ndarray) -> Schedule | None:
         """Values of each step of a period; an empty list repeats the constant value."""
