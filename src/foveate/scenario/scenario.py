@@ -35,7 +35,8 @@ class Scenario(Settings):
     """Checked settings of agent, field of view, sensor, targets and scenes, with `tau_s` [s] between decisions.
 
     With `keep_off_m` the agent does not come nearer to a target than this: its way ends there for the rest of the step,
-    though it turns as commanded; if a target comes nearer by itself, the agent may only move away.
+    though it turns as commanded; if a target comes nearer by itself, the agent may only move away. What steers to a
+    target, heuristics and pointer policies, drives past others in the way.
     """
 
     tau_s: float = 1.0
