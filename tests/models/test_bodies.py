@@ -93,6 +93,11 @@ def test_straight_behind_a_body_and_nearer_than_kept_the_aim_leads_away(d):
     # The way ends before the body, or the body is at the goal, or behind.
     for standoff, place in ((4.5, 3.0), (0.0, 5.5), (0.0, -1.1)):
         np.testing.assert_array_equal(aim_past(goal, standoff, jnp.eye(d)[:1] * place, one, radius), goal)
+    above = np.asarray(aim_past(goal[::-1], 0.0, body[:, ::-1], one, radius))  # straight above, in space
+    np.testing.assert_allclose(np.sort(np.abs(above))[-2:], np.sort(np.abs(expected))[-2:], atol=1e-5)
+    for off in (1.1e-6, 2e-6, 1e-5):  # hardly beside
+        almost = np.asarray(aim_past(goal.at[1].set(6.0 * off), 0.0, body, one, radius))
+        np.testing.assert_allclose(almost, expected, atol=1e-3)
     near = np.asarray(aim_past(goal + 0.1, 0.0, body / 3.0, one, radius))
     assert near[0] < 0 < near[1], "beside the body and a little away from it"
 

@@ -284,22 +284,26 @@ def test_a_prediction_keeps_its_digits_after_measurements_much_finer_than_the_mo
     assert np.abs(log_det - exact).max() < 0.05
 
 
-@pytest.mark.parametrize("acceleration_m2_s3", [0.001, 1.0])
-def test_bearings_are_predicted_as_keeps_their_digits(acceleration_m2_s3):
+@pytest.mark.parametrize(("acceleration_m2_s3", "keep_off_m"), [(0.001, 1.0), (1.0, 1.0), (0.001, None)])
+def test_bearings_are_predicted_as_keeps_their_digits(acceleration_m2_s3, keep_off_m):
     """Of the sensor of scalableMARL's worlds, from 1 to 10 m: by reversal, unless the motion's noise is far greater.
 
-    The other way loses more, or all. Compiled as programs are that compute a number several times.
+    A robot that does not keep off comes as near as 3 cm, and has two inverses. The other way loses more, or all.
     """
     target = VelocityTarget(
         acceleration_m2_s3=acceleration_m2_s3, initial_variance_m2=30.0, initial_velocity_variance_m2_s2=30.0
     )
     sensor = SensorSettings(measures="range-bearing", std_range_m=0.2, std_bearing_rad=0.01)
     scenes = SceneSettings(initial_error="consistent")
-    scenario = Scenario(tau_s=0.5, keep_off_m=1.0, view=SectorView(), sensor=sensor, target=target, scenes=scenes)
+    world = Scenario(tau_s=0.5, view=SectorView(), sensor=sensor, target=target, scenes=scenes)
+    scenario = replace(world, keep_off_m=keep_off_m)
+    # Where reversal is chosen, a program may compute a number several times, and round it otherwise each time.
+    options = {} if keep_off_m is None else QUICK
     chosen = scenario.problem().motion.is_reversible
-    assert chosen == (acceleration_m2_s3 == 0.001)
+    assert chosen == (acceleration_m2_s3 == 0.001 and keep_off_m is not None)
     rng, targets = np.random.default_rng(1), 300
-    angle, r = rng.uniform(0, 2 * np.pi, targets), 10 ** rng.uniform(0, 1, targets)
+    nearest = -1.5 if keep_off_m is None else 0.0
+    angle, r = rng.uniform(0, 2 * np.pi, targets), 10 ** rng.uniform(nearest, 1, targets)
     c, s, zero = np.cos(angle), np.sin(angle), np.zeros(targets)
     H = np.moveaxis(np.array([[c, s, zero, zero], [-s / r, c / r, zero, zero]]), -1, 0)
     gains = np.swapaxes(H, 1, 2) @ np.diag([0.2**-2, 0.01**-2]) @ H
@@ -316,10 +320,10 @@ def test_bearings_are_predicted_as_keeps_their_digits(acceleration_m2_s3):
                 seen = predict_information(problem.prior_information, problem.motion) + gain
                 return jax.lax.scan(step, seen, length=60)[1]
 
-            run = jax.jit(jax.vmap(unseen), compiler_options=QUICK)
+            run = jax.jit(jax.vmap(unseen), compiler_options=options)
             return np.asarray(run(jnp.asarray(gains, float)), float)
 
     exact = log_dets(True, False)
     error = {way: np.abs(log_dets(False, way) - exact).max() for way in (True, False)}
-    assert error[chosen] < 0.05
+    assert error[chosen] < (0.05 if keep_off_m else 0.5)
     assert not error[not chosen] < 2 * error[chosen]

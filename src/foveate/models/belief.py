@@ -62,7 +62,8 @@ def lost_in_prediction(information: Information, motion: LinearGaussian) -> Floa
     """log det Y - log det P' [nat], what a step without a measurement costs, P' that of `predict_information`.
 
     For motions that can be reversed it is log det (I + R^T M R) + 2 log |det A|, as there: no difference of two log
-    determinants, of which float32 may leave nothing where a velocity is unknown.
+    determinants, of which float32 may leave nothing where a velocity is unknown. Not for derivatives by the motion: the
+    root of W has none where W is singular.
     """
     if not motion.is_reversible:
         return log_det_spd(information) - log_det_spd(predict_information(information, motion))

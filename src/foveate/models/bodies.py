@@ -16,8 +16,8 @@ MOST_CLEARANCE = 1.7
 LEAVING_RAD = 1.75
 """Nearer than that the agent aims by this angle off the body: to its side, and a little away from it."""
 
-TINY_M = 1e-6
-"""A goal whose direction differs from a body's by less [m] is straight behind it: the way leads past it on the left."""
+TINY = 1e-6
+"""Sine below which a goal is straight behind a body, and the way leads past on the left; also the least length [m]."""
 
 
 class Bodies(NamedTuple):
@@ -69,7 +69,7 @@ def aim_past(
     # One more that is not there: the first of none has no index. Padding may hold anything.
     bodies_body = jnp.pad(jnp.where(present[:, None], bodies_body, 0.0), ((0, 1), (0, 0)))
     radius, present = jnp.pad(jnp.where(present, radius_m, 0.0), (0, 1)), jnp.pad(present, (0, 1))
-    length = jnp.sqrt(jnp.sum(goal_body**2) + TINY_M**2)
+    length = jnp.sqrt(jnp.sum(goal_body**2) + TINY**2)
     unit = goal_body / length
     along = bodies_body @ unit
     square = jnp.sum(bodies_body**2, axis=-1)
@@ -77,13 +77,15 @@ def aim_past(
     apart = jnp.sum((bodies_body - goal_body) ** 2, axis=-1) > radius**2
     blocks = present & apart & (along > 0) & (half_chord > 0) & (along - half_chord < length - standoff_m)
     first = jnp.argmin(jnp.where(blocks, along - half_chord, jnp.inf))
-    away = jnp.sqrt(square[first] + TINY_M**2)
+    away = jnp.sqrt(square[first] + TINY**2)
     towards = bodies_body[first] / away
     beside = unit - (unit @ towards) * towards
     left = jnp.zeros_like(unit).at[:2].set(jnp.stack([-towards[1], towards[0]]))
-    beside = jnp.where(jnp.sum(beside**2) > TINY_M**2, beside, left)
-    beside = beside / jnp.sqrt(jnp.sum(beside**2) + TINY_M**2)
+    # Straight above there is no left of the body: that of the agent, y.
+    left = jnp.where(jnp.sum(left**2) > TINY**2, left, jnp.zeros_like(unit).at[1].set(1.0))
+    beside = jnp.where(jnp.sum(beside**2) > TINY**2, beside, left)
+    beside = beside / jnp.sqrt(jnp.sum(beside**2))
     # The arcsine has no finite slope at 1.
     share = radius[first] / away
-    angle = jnp.where(share < 1.0, jnp.arcsin(jnp.minimum(share, 1.0 - TINY_M)), LEAVING_RAD)
+    angle = jnp.where(share < 1.0, jnp.arcsin(jnp.minimum(share, 1.0 - TINY)), LEAVING_RAD)
     return jnp.where(blocks.any(), length * (jnp.cos(angle) * towards + jnp.sin(angle) * beside), goal_body)

@@ -19,9 +19,6 @@ Numbers = Any
 MIN_RANGE_M = 0.01
 """Within this range a bearing's derivative 1 / range stays as it is there, instead of growing without bound."""
 
-NEAR = 0.02
-"""In depths of the view: nearer targets are rare."""
-
 
 class Polar(NamedTuple):
     """Measured coordinates in order, and the growth of the standard deviation of each with the range [1/m]."""
@@ -126,13 +123,12 @@ def noise(xp: Any, polar: Polar, V: Numbers, q: Numbers) -> Numbers:
     return V * factor[..., :, None] * factor[..., None, :]
 
 
-def finest_gain(polar: Polar, V: np.ndarray, Z: np.ndarray, depth_m: float, least_m: float | None) -> np.ndarray:
-    """H^T V^-1 H (n_y, n_y) of the finest measurement that an agent often makes: of a target straight ahead, near by.
+def finest_gain(polar: Polar, V: np.ndarray, Z: np.ndarray, least_m: float | None) -> np.ndarray:
+    """H^T V^-1 H (n_y, n_y) of the finest measurement: of a target straight ahead at `least_m` [m].
 
-    That is at `least_m` [m] if it comes no nearer, else at NEAR times the depth of its view [m].
+    None for an agent that comes as near as it likes, within MIN_RANGE_M.
     """
-    near_m = NEAR * depth_m if np.isfinite(depth_m) else 1.0
-    point_body = np.eye(len(Z))[0] * (near_m if least_m is None else max(near_m, least_m))
+    point_body = np.eye(len(Z))[0] * (MIN_RANGE_M if least_m is None else least_m)
     H = jacobian(np, polar, point_body) @ Z
     return H.T @ np.linalg.solve(noise(np, polar, V, point_body), H)
 

@@ -16,7 +16,7 @@ MIN_DECAY = 0.3
 velocity."""
 FINEST = 100.0
 """Largest variance that the process noise of a step adds, per variance of a measurement, for a prediction by reversal:
-0.001 nat are lost then."""
+0.001 nat are lost then, more where a measurement is much finer across than along."""
 
 
 class LinearGaussian(eqx.Module):

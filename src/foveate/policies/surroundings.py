@@ -41,7 +41,7 @@ def ways_of(
     """Where the steering law aims for targets [m], how far before that it ends [m], and the features of obstacles.
 
     Among obstacles it aims along the ways, which are unfolded. Without rays it aims at the targets, without features.
-    In both cases past bodies that the agent keeps off.
+    Either way it aims past bodies that the agent keeps off.
     """
     depth, count = robot.extent.ahead_m, position_body.shape[0]  # not len(): an exported file has any number
     problem, bodies = robot.problem, bodies_of(robot.problem, observation)

@@ -83,6 +83,7 @@ def tokens_of(
     position_body = jnp.where(present[:, None], position_body, depth)
     reached, rest, around = ways_of(observation, robot, position_body, rays, standoff * depth)
     aim = jax.vmap(lambda point, rest: steer(agent, problem.tau, point, rest))(reached, rest)
+    # By the way past bodies, also where the target is in view already: by its place `any` loses 0.4 to 0.9 nat.
     steps = jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point))(reached)
     log_det, lost = log_det_spd(information), jax.vmap(lost_in_prediction, (0, None))(information, motion)
     gain = _gain(problem, observation, information)

@@ -74,10 +74,10 @@ class Kind:
         return Models(self.agent.agent(), sensor)
 
     def finest_gain(self, H: np.ndarray, V: np.ndarray, keep_off_m: float | None) -> np.ndarray:
-        """H^T V^-1 H (n_y, n_y) of the finest measurement that is made often, by a robot that keeps off targets."""
+        """H^T V^-1 H (n_y, n_y) of the finest measurement of targets that the robot keeps off, or does not."""
         if self.sensor.polar is None:
             return H.T @ np.linalg.inv(V) @ H
-        return finest_gain(self.sensor.polar, V, H, float(self.view.depth_m), keep_off_m)
+        return finest_gain(self.sensor.polar, V, H, keep_off_m)
 
     def own(self, robot: RobotSettings) -> "Kind":
         """The kind of a robot that has tables of its own."""

@@ -73,8 +73,9 @@ class Observation(eqx.Module):
     """Input of a policy at step k: the pose T_k and the predicted belief p_{k+1}, P_{k+1} of every target.
 
     `left` is the number of remaining steps, this one included; `known_input` is xi_k, the input that led to the
-    prediction. Entries where `present` is false are padding. Pose and means are in the world frame, positions in [m];
-    `information` is the inverse covariance, for positions in [1/m^2].
+    prediction. Entries where `present` is false are padding. A robot that keeps a distance keeps off the `blocking`
+    entries, None: those present. Pose and means are in the world frame, positions in [m]; `information` is the inverse
+    covariance, for positions in [1/m^2]. `team` is what a robot knows of its team, None of a single robot.
     """
 
     step: Count
@@ -84,15 +85,14 @@ class Observation(eqx.Module):
     information: Float[Array, "n n_y n_y"]
     present: Bool[Array, " n"]
     known_input: Float[Array, "n m_y"]
-    robot: Robot | None = None
-    """What a policy may know about its robot; None for policies that ask for nothing."""
+    robot: Robot | None = None  # what a policy may know about its robot; None for policies that ask for nothing
     surroundings: Surroundings | None = None  # None: those of the robot's map
     existence: Float[Array, " n"] | None = None
     """Probability that a target exists, of each entry; None where that is certain."""
     undetected: Float[Array, "*cells"] | None = None
     """Expected number of targets never detected in each cell of the grid of detections without ids; None with ids."""
-    team: TeamView | None = None  # None of a single robot
-    blocking: Bool[Array, " n"] | None = None  # entries that it keeps off; None: those present
+    team: TeamView | None = None
+    blocking: Bool[Array, " n"] | None = None
 
     @property
     def map_number(self) -> Count | None:

@@ -81,11 +81,11 @@ def problem_of(sensor: Any, predictor: Predictor, tau_s: float, prior_covariance
     coordinates, V = MODELS.get(type(measurement)), measurement.covar()
     H = np.asarray(measurement.matrix())[:, order] if coordinates is None else np.eye(d, n_y)
     polar = None if coordinates is None else Polar(coordinates, (0.0,) * len(coordinates))
-    view, Z = _view_of(sensor, agent), np.eye(d, n_y)
-    gain = H.T @ np.linalg.inv(V) @ H if polar is None else finest_gain(polar, V, Z, float(view.extent.ahead_m), None)
+    Z = np.eye(d, n_y)
+    gain = H.T @ np.linalg.inv(V) @ H if polar is None else finest_gain(polar, V, Z, None)
     return Problem(
         agent=agent,
-        sensor=Sensor(H=_array(H), V=_array(V), view=view, polar=polar),
+        sensor=Sensor(H=_array(H), V=_array(V), view=_view_of(sensor, agent), polar=polar),
         motion=LinearGaussian.of(A, B, W, Z, [gain]),
         tau=_array(tau_s),
         prior_information=_array(np.linalg.inv(np.asarray(prior_covariance, float)[block])),
