@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from foveate.geometry.linalg import inverse_spd, inverse_upper, log_det_spd, multiply, root_semidefinite, symmetrise
+from foveate.geometry.linalg import inverse_spd, inverse_upper, multiply, root_semidefinite, symmetrise
 from foveate.models.target import LinearGaussian
 from foveate.types import Information, Mean
 
@@ -56,21 +56,6 @@ def _predict_by_reversal(information, A, W):
     gain = multiply(noisy, inverse_spd(symmetrise(spread) + jnp.eye(n_y, dtype=A.dtype)))
     prediction = symmetrise(moved - multiply(gain, noisy.T))
     return prediction, inverse_A.T - multiply(gain, multiply(inverse_A, root_W).T)
-
-
-def lost_in_prediction(information: Information, motion: LinearGaussian) -> Float[Array, ""]:
-    """log det Y - log det P' [nat], what a step without a measurement costs, P' that of `predict_information`.
-
-    For motions that can be reversed it is log det (I + R^T M R) + 2 log |det A|, as there: no difference of two log
-    determinants, of which float32 may leave nothing where a velocity is unknown. Not for derivatives by the motion: the
-    root of W has none where W is singular.
-    """
-    if not motion.is_reversible:
-        return log_det_spd(information) - log_det_spd(predict_information(information, motion))
-    noise = multiply(inverse_upper(motion.A), root_semidefinite(motion.W))
-    spread = symmetrise(multiply(noise.T, multiply(information, noise)))
-    moved = 2.0 * jnp.sum(jnp.log(jnp.abs(jnp.diagonal(motion.A))))
-    return log_det_spd(spread + jnp.eye(len(spread), dtype=spread.dtype)) + moved
 
 
 def _predict_jvp(is_reversible, primals, tangents):

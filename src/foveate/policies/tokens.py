@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from foveate.errors import InputError
 from foveate.geometry.linalg import cholesky_spd, inverse_spd, log_det_spd, multiply, symmetrise
 from foveate.io.validate import require
-from foveate.models.belief import lost_in_prediction
+from foveate.models.belief import predict_information
 from foveate.models.problem import Problem
 from foveate.models.robot import Robot
 from foveate.names import Objective
@@ -85,7 +85,7 @@ def tokens_of(
     aim = jax.vmap(lambda point, rest: steer(agent, problem.tau, point, rest))(reached, rest)
     # By the way past bodies, also where the target is in view already: by its place `any` loses 0.4 to 0.9 nat.
     steps = jax.vmap(lambda point: steps_to_view(agent, problem.tau, extent, point))(reached)
-    log_det, lost = log_det_spd(information), jax.vmap(lost_in_prediction, (0, None))(information, motion)
+    log_det, ahead = log_det_spd(information), jax.vmap(predict_information, (0, None))(information, motion)
     gain = _gain(problem, observation, information)
     own = [
         place_features(position_body / depth),
@@ -93,7 +93,7 @@ def tokens_of(
         _uncertainty(observation, problem, information, depth),
         jnp.log1p(steps),
         jnp.clip(problem.sensor.view.signed_distance(position_body) / depth, -1.0, 2.0)[:, None],
-        jnp.stack([gain, lost, _relative(log_det, present)], axis=-1) / 4.0,
+        jnp.stack([gain, log_det - log_det_spd(ahead), _relative(log_det, present)], axis=-1) / 4.0,
         _crowd(position_body / depth, gain, present),
     ]
     urgency = [log_det, jnp.sum(steps, axis=-1)]
