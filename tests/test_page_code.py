@@ -224,7 +224,7 @@ def test_the_page_on_any_robot_runs(reader: Path, capsys: pytest.CaptureFixture[
     fresh(reader / "trained" / "any", "any")
     left = run_python(ROOT / "docs" / "any.md")
     assert left["policy"].scenario == left["mine"].scenario == left["scenario"]
-    assert "decides for 3 to 8 targets" in capsys.readouterr().out
+    assert "decides for 2 to 6 targets" in capsys.readouterr().out
     config = tomllib.loads((reader / "runs" / "mine" / "config.toml").read_text(encoding="utf-8"))
     assert config["policy"]["begin_with"] == "any"
 

@@ -232,7 +232,8 @@ class TrainedPolicy(RobotPolicy):
     def __repr__(self) -> str:
         weights = sum(leaf.size for leaf in jax.tree.leaves(self.network) if eqx.is_array(leaf))
         scenes, kind = self.scenario.scenes, self.experiment.policy.kind
-        targets = f"{scenes.targets_min} to {scenes.targets_max} targets ({self.scenario.target.kind})"
+        least, most = scenes.targets_min, scenes.targets_max
+        targets = f"{least if least == most else f'{least} to {most}'} targets ({self.scenario.target.kind})"
         return (
             f"TrainedPolicy({self.name!r}: {kind} network of {weights:,} weights; decides for {targets}, {self._body})"
         )
