@@ -14,6 +14,7 @@ from foveate.errors import InputError
 from foveate.models.problem import Problem
 from foveate.policies.lookahead import LookAhead
 from foveate.policies.tokens import Tokens
+from foveate.simulation.bodies import blocking
 from foveate.simulation.records import Observation
 
 PLACES = 12
@@ -60,14 +61,13 @@ def with_places(observation: Observation) -> Searched:
     cost = jnp.where(present, cost - jnp.min(cost), 0.0)
     existence = jnp.where(observation.present, observation.existence, 0.0)
     existence = jnp.concatenate([existence, goals.number[chosen]])
-    blocking = observation.present if observation.blocking is None else observation.blocking
     nothing = jnp.zeros((count, observation.known_input.shape[1]), observation.known_input.dtype)
     more = replace(
         observation,
         mean=jnp.concatenate([observation.mean, means]),
         information=jnp.concatenate([observation.information, prior]),
         present=present,
-        blocking=jnp.concatenate([blocking, jnp.zeros(count, bool)]),
+        blocking=jnp.concatenate([blocking(observation), jnp.zeros(count, bool)]),
         known_input=jnp.concatenate([observation.known_input, nothing]),
         existence=existence,
         team=None if team is None else replace(team, claims=jnp.pad(team.claims, ((0, 0), (0, count)))),

@@ -2,7 +2,7 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from foveate.geometry.linalg import inverse_spd, multiply
 from foveate.models.bodies import Bodies
@@ -14,6 +14,11 @@ LEAST_M2 = 1e-12
 
 MATE_STEPS = 3
 """A mate not heard of for more steps may be anywhere."""
+
+
+def blocking(observation: Observation) -> Bool[Array, " n"]:
+    """The entries that a robot keeps its distance from, if it keeps any."""
+    return observation.present if observation.blocking is None else observation.blocking
 
 
 def bodies_of(problem: Problem, observation: Observation) -> Bodies | None:
@@ -32,7 +37,7 @@ def bodies_along(problem: Problem, observation: Observation, state: Float[Array,
 
 def _with_mates(problem: Problem, observation: Observation, mean: Float[Array, "n n_y"]) -> Bodies:
     positions_world, team = problem.motion.position(mean), observation.team
-    present = observation.present if observation.blocking is None else observation.blocking
+    present = blocking(observation)
     # Padding may hold anything.
     information = jnp.where(present[:, None, None], observation.information, problem.prior_information)
     covariance = multiply(multiply(problem.motion.Z, inverse_spd(information)), problem.motion.Z.T)
